@@ -1,0 +1,56 @@
+"""Flow `mohr-coulomb`: finite elements (NGSolve) from rest to the steady flowing bed."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from scaleup.api import (
+    FlowField,
+    Geometry,
+    InputError,
+    Memory,
+    Operation,
+    PluginOptions,
+    Progress,
+    Scene,
+    units,
+)
+
+
+class MohrCoulomb:
+    """Two-phase level-set flow of a Mohr-Coulomb powder in a vessel's cross-section.
+
+    Unset options follow the rules in `parameters.Discretisation`, none of which has seen
+    validation data.
+    """
+
+    class Options(PluginOptions):
+        """Resolution and stopping rule."""
+
+        fine_size: units.Length | None = None
+        """m, element size about the free surface; default reach/24"""
+        coarse_size: units.Length | None = None
+        """m, element size elsewhere; default reach/9"""
+        time_step: units.Time | None = None
+        """s; default sqrt(reach/g)/20"""
+        angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
+        """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
+        time_limit: units.Time = 12.0
+        """s of flow after which the run stops anyway"""
+
+    def __init__(self, options: Options):
+        self.options = options
+
+    def check(self, geometry: Geometry, operation: Operation) -> None:
+        """The solver works on cross-sections."""
+        if geometry.dimension != 2:
+            raise InputError("flow.name = 'mohr-coulomb': this solver works in 2-D only")
+
+    def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
+        """Solve for the steady bed (kept without the grid, so that any grid can reuse it)."""
+        from scaleup_mohr_coulomb.on_grid import flow_field
+        from scaleup_mohr_coulomb.solve import steady_bed
+
+        return flow_field(steady_bed(scene, self.options, progress, memory), scene)

@@ -1,0 +1,132 @@
+"""Inputs of the finite-element flow: what the powder is, what the vessel does, how it is solved.
+
+All quantities are in SI units, angles in radians.  Every numerical parameter follows a rule
+stated beside it; none was fitted to a particle simulation or to an experiment.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scaleup.api import GRAVITY, Material
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How the bed is driven: counter-clockwise about z through the origin, gravity along -y."""
+
+    bed_area: float
+    """Area of powder in the cross-section, m^2."""
+    angular_velocity: float
+    """Angular velocity omega of the vessel, rad/s, positive."""
+    gravity: float = GRAVITY
+    """Gravitational acceleration g, m/s^2."""
+
+
+@dataclass(frozen=True)
+class Discretisation:
+    """Numerical parameters in SI units; :meth:`by_rule` supplies the defaults of the method."""
+
+    coarse_size: float
+    """Element size in the passive region and in the air, m.  Rule: R/9."""
+    fine_size: float
+    """Element size h in the band about the free surface, m.  Rule: R/24, so that an active
+    layer of R/5 is five quadratic elements deep.  R/14 is too coarse (3 deg too steep a bed); R/35
+    changes the drum's mean angle by 0.2 deg and its mean flux by 3 %."""
+    half_band: float
+    """Half width of the refined band, m.  Rule: R/5, the depth of a drum's active layer."""
+    band_angle: float
+    """Inclination of the refined band, rad.  Rule: the friction angle."""
+    start_angle: float
+    """Inclination of the bed at time 0, rad.  Rule: 3/4 of the friction angle.  A level bed turns
+    rigidly with the vessel until it yields, so that starting nearer to yield only saves time."""
+    time_step: float
+    """Time step dt, s.  Rule: sqrt(R/g)/20; the bed's swings last about 9 sqrt(R/g)."""
+    filter_length: float
+    """Non-local length of shear rate and pressure, m.  Rule: the grain diameter, but at least
+    h/3, below which the filter does nothing on this mesh."""
+    predictor_length: float
+    """Length l over which stress beyond yield accelerates powder in the predictor of the shear
+    rate, m.  Rule: 0.07 R, a third of an active layer.  It shapes the first avalanche; twice the
+    length leaves the mean angle within 0.1 deg and the mean flux within 1 %."""
+    predictor_threshold: float
+    """Relative excess of stress over strength below which the predictor stays off, 1.  Rule:
+    dt / sqrt(R/g).  The lagged viscosity by itself lets the shear rate grow by this ratio in each
+    step, that is by e within the free-fall time sqrt(R/g); only faster yielding needs prediction.
+    A predictor that also answers to slow swings rectifies them into creep: without a threshold the
+    drum's mean flux loses another 7 %, with 0.4 to 2 times this one it changes by 0.5 %."""
+    creep_rate: float
+    """Shear rate eps below which unyielded powder creeps viscously, 1/s.  Rule: 2 % of omega,
+    which bounds the error of the passive region's rotation by about as much."""
+    slip_speed: float
+    """Speed v_e that regularises Coulomb friction at the wall, m/s.  Rule: 1 % of omega R."""
+    interface_half_width: float
+    """Half width W of the smoothed powder-air interface, m.  Rule: h, the sharpest kink of the
+    hydrostatic pressure that linear elements can follow."""
+    air_density: float
+    """Density of the light phase, kg/m^3.  Rule: 1/500 of the powder's."""
+    air_viscosity: float
+    """Viscosity of the light phase and lower bound of the powder's, Pa s.  Rule: 2.5e-4 rho
+    sqrt(g R^3), whose stress at the shear rate sqrt(g/R) is 2.5e-4 of the pressure rho g R."""
+    grad_div: float
+    """Factor of the grad-div term, Pa s.  Rule: 0.035 rho sqrt(g R^3), about the viscosity of the
+    flowing layer.  It acts on the error of div u = 0 only; thrice as much changes nothing."""
+    redistance_every: int = 5
+    """Steps between two redistancings of the level set."""
+
+    @classmethod
+    def by_rule(
+        cls,
+        material: Material,
+        drive: Drive,
+        radius: float,
+        fine_size: float | None = None,
+        coarse_size: float | None = None,
+        time_step: float | None = None,
+    ) -> Discretisation:
+        """The defaults for a vessel whose farthest wall is ``radius`` (m) from the axis.
+
+        Lengths scale with R, times with sqrt(R/g) and viscosities with rho sqrt(g R^3), so that
+        vessels of equal Froude number and equal R/d are solved alike. A size or step that is given
+        replaces its own rule; the rules that build on it follow.
+        """
+        omega, gravity = drive.angular_velocity, drive.gravity
+        density = material.bulk_density
+        viscosity_scale = density * math.sqrt(gravity * radius**3)
+        fall_time = math.sqrt(radius / gravity)
+        time_step = time_step or fall_time / 20.0
+        fine_size = fine_size or radius / 24.0
+        return cls(
+            coarse_size=max(fine_size, coarse_size or radius / 9.0),
+            fine_size=fine_size,
+            half_band=radius / 5.0,
+            band_angle=material.friction_angle,
+            start_angle=0.75 * material.friction_angle,
+            time_step=time_step,
+            filter_length=max(material.grain_diameter, fine_size / 3.0),
+            predictor_length=0.07 * radius,
+            predictor_threshold=time_step / fall_time,
+            creep_rate=0.02 * omega,
+            slip_speed=0.01 * omega * radius,
+            interface_half_width=fine_size,
+            air_density=density / 500.0,
+            air_viscosity=2.5e-4 * viscosity_scale,
+            grad_div=0.035 * viscosity_scale,
+        )
+
+
+@dataclass(frozen=True)
+class SteadyOptions:
+    """When a bed counts as steady, and when to give up."""
+
+    angle_tolerance: float = math.radians(0.25)
+    """Standard error of the mean surface angle at which the run stops, rad."""
+    minimum_swings: int = 4
+    """Swings of the bed averaged over, at least."""
+    settled_amplitude: float = math.radians(0.1)
+    """Amplitude below which the bed no longer swings, rad."""
+    settled_periods: int = 3
+    """Natural periods of the bed averaged over, at least, once it no longer swings."""
+    time_limit: float = 12.0
+    """Time after which the run stops anyway, s.  A swing of the paper's drum lasts 0.75 s."""

@@ -1,0 +1,119 @@
+"""The steady bed of a scene: recalled, resumed from a checkpoint, or solved."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import TYPE_CHECKING, Any
+
+import ngsolve as ngs
+import numpy as np
+
+from scaleup.api import Memory, Progress, RunError, Scene
+from scaleup_mohr_coulomb.level_set import LevelSet
+from scaleup_mohr_coulomb.mesh import cross_section_mesh
+from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
+from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, SwingAverage, run_to_steady
+from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
+
+if TYPE_CHECKING:
+    from scaleup_mohr_coulomb import MohrCoulomb
+
+_SECONDS_BETWEEN_CHECKPOINTS = 20.0
+_FIELDS = ("velocity", "level_set")
+
+
+def steady_bed(
+    scene: Scene, options: MohrCoulomb.Options, progress: Progress, memory: Memory
+) -> SteadyBed:
+    """The time-mean bed of the scene, whatever its grid.
+
+    Raises RunError with one sentence if the flow diverges or never becomes steady.
+    """
+    area = scene.fill_volume / scene.geometry.depth
+    drive = Drive(bed_area=area, angular_velocity=scene.operation.speed)
+    numerics = Discretisation.by_rule(
+        scene.material,
+        drive,
+        scene.geometry.reach,
+        options.fine_size,
+        options.coarse_size,
+        options.time_step,
+    )
+    inputs = {"scene": dict(scene.inputs), "options": options.model_dump(mode="json")}
+    mesh = cross_section_mesh(
+        scene.geometry.solid(),
+        numerics.coarse_size,
+        numerics.fine_size,
+        area,
+        numerics.band_angle,
+        numerics.half_band,
+    )
+    vertices = np.array([vertex.point for vertex in mesh.vertices])
+    finished, unfinished = inputs | {"stage": "steady"}, inputs | {"stage": "checkpoint"}
+    known = memory.recall(finished)
+    if known is not None and np.array_equal(known["vertices"], vertices):
+        progress(1.0, "steady bed reused from the store")
+        return _from_arrays(known, mesh, numerics)
+
+    flow = TwoPhaseFlow(mesh, scene.material, drive, numerics)
+    average = SwingAverage(flow)
+    checkpoint = memory.recall(unfinished)
+    if checkpoint is not None and np.array_equal(checkpoint["vertices"], vertices):
+        flow.restore(_part(checkpoint, "flow"))
+        average.restore(_part(checkpoint, "average"))
+        progress(0.0, f"resumed at t = {flow.time:.2f} s")
+    last_kept = time.monotonic()
+
+    def keep_and_report(fraction: float, message: str) -> None:
+        nonlocal last_kept
+        if time.monotonic() - last_kept > _SECONDS_BETWEEN_CHECKPOINTS:
+            last_kept = time.monotonic()
+            arrays = {"vertices": vertices}
+            arrays |= {f"flow.{name}": data for name, data in flow.state().items()}
+            arrays |= {f"average.{name}": data for name, data in average.state().items()}
+            memory.keep(unfinished, arrays)
+        progress(fraction, message)
+
+    steady = SteadyOptions(angle_tolerance=options.angle_tolerance, time_limit=options.time_limit)
+    try:
+        bed = run_to_steady(flow, steady, keep_and_report, average)
+    except (FlowDiverged, NotSteady) as error:
+        memory.forget(unfinished)
+        raise RunError(str(error)) from error
+    memory.keep(finished, {"vertices": vertices} | _to_arrays(bed))
+    memory.forget(unfinished)
+    return bed
+
+
+def _to_arrays(bed: SteadyBed) -> dict[str, Any]:
+    """All of a bed but its mesh: coefficient vectors and numbers."""
+    arrays: dict[str, Any] = {
+        "velocity": bed.velocity.vec.FV().NumPy().copy(),
+        "level_set": bed.level_set.field.vec.FV().NumPy().copy(),
+    }
+    for entry in dataclasses.fields(bed):
+        if entry.name not in (*_FIELDS, "mesh"):
+            arrays[entry.name] = np.asarray(getattr(bed, entry.name))
+    return arrays
+
+
+def _from_arrays(arrays: dict[str, Any], mesh: Any, numerics: Discretisation) -> SteadyBed:
+    velocity = ngs.GridFunction(ngs.VectorH1(mesh, order=2))
+    velocity.vec.FV().NumPy()[:] = arrays["velocity"]
+    level_set = LevelSet(mesh, numerics.interface_half_width)
+    level_set.field.vec.FV().NumPy()[:] = arrays["level_set"]
+    numbers = {
+        entry.name: arrays[entry.name] if arrays[entry.name].ndim else arrays[entry.name].item()
+        for entry in dataclasses.fields(SteadyBed)
+        if entry.name not in (*_FIELDS, "mesh")
+    }
+    return SteadyBed(mesh=mesh, velocity=velocity, level_set=level_set, **numbers)
+
+
+def _part(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
+    return {
+        name.partition(".")[2]: data
+        for name, data in arrays.items()
+        if name.startswith(f"{prefix}.")
+    }

@@ -1,0 +1,226 @@
+"""All that a plugin may import from scaleup.
+
+A plugin is a class registered as an entry point in the group `scaleup.geometries`, `scaleup.flow`
+or `scaleup.mixing`. It owns a nested class `Options`, a frozen pydantic model derived from
+`PluginOptions`, and is constructed with an instance of it. The three protocols below are what the
+class must provide beyond that; `scaleup.testing` checks them.
+
+Conventions: SI units; x right, y up, gravity along -y; rotation about +z, counter-clockwise, so
+that the bed climbs on +x and its surface flows towards -x. Arrays over points are (n, dimension).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scaleup import units
+from scaleup.cut_cells import cut_fraction, fill_to_volume
+from scaleup.errors import ContractError, InputError, RunError
+from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
+from scaleup.grid import BoolArray, FloatArray, Grid, IntArray, grid_over
+from scaleup.scene import GRAVITY, Diffusion, Loading, Material, Operation
+from scaleup.scene import Model as PluginOptions
+from scaleup.stream_function import fit_stream_function, flow_from_stream_function
+
+if TYPE_CHECKING:
+    from scaleup.decomposition import Decomposition, GhostedField
+
+__all__ = [
+    "GRAVITY",
+    "Axis",
+    "BoolArray",
+    "ContractError",
+    "Decomposition",
+    "Diffusion",
+    "FloatArray",
+    "Flow",
+    "FlowField",
+    "Geometry",
+    "GhostedField",
+    "Grid",
+    "InputError",
+    "IntArray",
+    "Interval",
+    "Ledger",
+    "Loading",
+    "Material",
+    "Memory",
+    "Mixing",
+    "MixingScene",
+    "Operation",
+    "PluginOptions",
+    "Progress",
+    "RunError",
+    "Scene",
+    "cut_fraction",
+    "fill_to_volume",
+    "fit_stream_function",
+    "flow_from_stream_function",
+    "grid_over",
+    "interval_from_dense",
+    "units",
+]
+
+Progress = Callable[[float, str], None]
+"""progress(fraction done in [0, 1], a short message)"""
+
+
+class Memory(Protocol):
+    """Arrays kept between runs under the inputs that they were computed from.
+
+    Inputs are JSON-like; the plugin's own source is part of the key, so that a changed plugin
+    never meets its old results. What depends on less than a whole FlowField (a solution before it
+    is put on a grid) or is not finished yet (a checkpoint) belongs here.
+    """
+
+    def recall(self, inputs: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The arrays kept under these inputs, or None."""
+        ...
+
+    def keep(self, inputs: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep arrays under these inputs, in place of older ones."""
+        ...
+
+    def forget(self, inputs: Mapping[str, Any]) -> None:
+        """Drop what is kept under these inputs, if anything is."""
+        ...
+
+
+class Geometry(Protocol):
+    """A vessel, at rest and upright (phase 0)."""
+
+    Options: ClassVar[type[PluginOptions]]
+    default_scene: ClassVar[Mapping[str, Any]]
+    """configuration sections that make `simulate --geometry NAME` work in minutes"""
+
+    dimension: int
+    """2 (a cross-section) or 3"""
+    depth: float
+    """m, extent along z that a cross-section stands for; 1.0 in 3-D"""
+    axis: Axis
+    reach: float
+    """m, greatest distance of the vessel's inside from the axis"""
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    """m, corners of the box around the inside"""
+    volume: float
+    """m^3"""
+
+    def signed_distance(self, points: FloatArray) -> FloatArray:
+        """Distance to the wall, m, positive inside; points (..., dimension) in m."""
+        ...
+
+    def volume_below(self, height: float) -> float:
+        """m^3 of the vessel at rest below the level y = height (m)."""
+        ...
+
+    def solid(self) -> Any:
+        """The inside as a netgen OCC shape (a face in 2-D), for meshing, in m."""
+        ...
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a flow model is asked to solve.
+
+    geometry     -- the vessel
+    material, operation -- as configured
+    fill_volume  -- m^3 of bed
+    grid         -- the grid that the FlowField is wanted on
+    inputs       -- all of the above but the grid, JSON-like: the key for a `Memory`
+    """
+
+    geometry: Geometry
+    material: Material
+    operation: Operation
+    fill_volume: float
+    grid: Grid
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Flow(Protocol):
+    """A flow model: from a scene to a FlowField."""
+
+    Options: ClassVar[type[PluginOptions]]
+
+    def check(self, geometry: Geometry, operation: Operation) -> None:
+        """Raise InputError if the model does not hold for this scene. Cheap: nothing is built."""
+        ...
+
+    def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
+        """The flow on `scene.grid`; called on the root only, `comm` is the root's own.
+
+        Must satisfy `scaleup.testing.check_flow`. `summary` should hold surface_angle_deg,
+        surface_speed_max, active_layer_thickness, solid_body_ratio, flux_midbed, volume_drift and
+        `<key>_reason` for those that it cannot give. Raises RunError if it fails.
+        """
+        ...
+
+
+@dataclass
+class Ledger:
+    """What a mixing backend did to mass and bounds, seen before any clipping.
+
+    All shares are of the bed's volume; `clipped` is the sum of the absolute changes by clipping.
+    """
+
+    steps: int = 0
+    cell_updates: int = 0
+    minimum: float = np.inf
+    maximum: float = -np.inf
+    clipped: float = 0.0
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, other: Ledger) -> None:
+        """Add what a further stretch of time did."""
+        self.steps += other.steps
+        self.cell_updates += other.cell_updates
+        self.minimum = min(self.minimum, other.minimum)
+        self.maximum = max(self.maximum, other.maximum)
+        self.clipped += other.clipped
+        self.notes += [note for note in other.notes if note not in self.notes]
+
+
+@dataclass(frozen=True)
+class MixingScene:
+    """What a mixing backend moves concentration on.
+
+    flow           -- the FlowField, the same on every rank
+    diffusion      -- the law of diffusion; `tensor(interval)` evaluates it
+    grain_diameter -- m
+    decomposition  -- which cells this rank owns
+    tensor         -- interval -> (dimension, dimension, n) in m^2/s
+    """
+
+    flow: FlowField
+    diffusion: Diffusion
+    grain_diameter: float
+    decomposition: Decomposition
+    tensor: Callable[[Interval], FloatArray]
+
+
+class Mixing(Protocol):
+    """A mixing backend. Constructed as `Plugin(options)`; `start` binds it to a scene."""
+
+    Options: ClassVar[type[PluginOptions]]
+
+    def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
+        """Begin on interval `index` from concentrations (components, n) on its cells, all ranks."""
+        ...
+
+    def stable_time_step(self, interval: Interval) -> float:
+        """Largest stable step on an interval, s; the same on every rank (collective)."""
+        ...
+
+    def advance(self, index: int, start: float, end: float) -> Ledger:
+        """Move on over part of interval `index`, in its local clock, s (collective)."""
+        ...
+
+    def concentration(self, interval: Interval) -> FloatArray:
+        """(components, n) on the interval's cells, on every rank (collective); sums to 1."""
+        ...

@@ -1,0 +1,243 @@
+"""The command line: parsing and printing only."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+import scaleup
+from scaleup import registry
+from scaleup.config import PLUGIN_SECTIONS, compose
+from scaleup.errors import InputError, ScaleupError
+from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
+
+log = logging.getLogger("scaleup")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(scaleup.__version__, prog_name="scaleup")
+def cli() -> None:
+    """Predict how powders blend in rotating blenders."""
+
+
+@cli.command()
+@click.argument("config", required=False, type=click.Path(path_type=Path))
+@click.option("--geometry", help="Blender to use, such as drum.")
+@click.option("--flow", help="Flow model.")
+@click.option("--mixing", help="Mixing backend.")
+@click.option("--ranks", type=int, help="Number of MPI ranks.")
+@click.option("--revolutions", help="How many revolutions to blend.")
+@click.option("--tolerance", help="Wanted error of the segregation intensity.")
+@click.option(
+    "--set", "assignments", multiple=True, metavar="SECTION.KEY=VALUE", help="Set any key."
+)
+@click.option("--output", type=click.Path(path_type=Path), help="Run folder [runs/NAME-TIME].")
+@click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
+def simulate(
+    config: Path | None,
+    geometry: str | None,
+    flow: str | None,
+    mixing: str | None,
+    ranks: int | None,
+    revolutions: str | None,
+    tolerance: str | None,
+    assignments: Sequence[str],
+    output: Path | None,
+    overwrite: bool,
+) -> None:
+    """Blend a powder: flow, mixing, metrics and report.
+
+    CONFIG is a TOML file; --set and the flags take precedence over it.
+    """
+    check_ranks(ranks)
+    flags: dict[str, Any] = {
+        section: {"name": name}
+        for section, name in (("geometry", geometry), ("flow", flow), ("mixing", mixing))
+        if name
+    }
+    if revolutions is not None:
+        flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
+    if tolerance is not None:
+        flags["accuracy"] = {"tolerance": _number("--tolerance", tolerance)}
+    run_config = compose(config, assignments, flags)
+    folder = (
+        output or Path("runs") / f"{run_config.geometry['name']}-{time.strftime('%Y%m%d-%H%M%S')}"
+    )
+    if launched_size() is None:
+        from scaleup.output_folder import check_output
+
+        check_output(folder, overwrite=overwrite, resume=False)
+        if output is None:  # all ranks must agree on the folder's name
+            sys.argv += ["--output", str(folder)]
+    relaunch_if_needed(ranks)
+    _run(run_config, folder, overwrite=overwrite, resume=False)
+
+
+@cli.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--ranks", type=int, help="Number of MPI ranks.")
+def resume(folder: Path, ranks: int | None) -> None:
+    """Go on with a run that was killed; FOLDER is what --output was."""
+    from scaleup.output_folder import check_output, work_folder
+
+    check_ranks(ranks)
+    if launched_size() is None:
+        check_output(folder, overwrite=False, resume=True)
+    config = compose(work_folder(folder) / "config.toml")
+    relaunch_if_needed(ranks)
+    _run(config, folder, overwrite=True, resume=True)
+
+
+@cli.group()
+def plugins() -> None:
+    """What is installed."""
+
+
+@plugins.command("list")
+def list_plugins() -> None:
+    """Names of the installed blenders, flow models and mixing backends."""
+    for kind in PLUGIN_SECTIONS:
+        click.echo(f"{kind}:")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            registry.warn_of_broken(kind)
+        for name, point in registry.available(kind).items():
+            click.echo(f"  {name:20s} {registry.distribution(point)}")
+        for warning in caught:
+            click.echo(f"Warning: {warning.message}", err=True)
+
+
+@plugins.command("show")
+@click.argument("name")
+def show_plugin(name: str) -> None:
+    """What a plugin is and its options, with units and defaults."""
+    found = [kind for kind in PLUGIN_SECTIONS if name in registry.available(kind)]
+    if not found:
+        known = ", ".join(n for kind in PLUGIN_SECTIONS for n in registry.available(kind))
+        raise InputError(f"NAME = {name!r}: no such plugin; installed are: {known}")
+    for kind in found:
+        plugin = registry.load(kind, name)
+        click.echo(f"{kind} {name}")
+        click.echo(_indented(plugin.__doc__))
+        click.echo("options:")
+        for key, field in plugin.Options.model_fields.items():
+            click.echo(f"  {kind}.{key} = {field.default!r}")
+            if field.description:
+                click.echo(f"      {' '.join(field.description.split())}")
+
+
+@cli.command()
+@click.option("--ranks", type=int, default=2, show_default=True, help="Ranks of the hello.")
+def doctor(ranks: int) -> None:
+    """Check MPI, PETSc, NGSolve and HDF5, and let the ranks greet each other."""
+    from scaleup.doctor import examine, greet
+
+    check_ranks(ranks)
+    if launched_size() is not None:
+        greet()
+        return
+    healthy = True
+    for line, good in examine():
+        click.echo(f"{'ok  ' if good else 'FAIL'} {line}")
+        healthy &= good
+    sys.stdout.flush()
+    if not healthy:
+        raise ScaleupError("something is missing; see the lines marked FAIL")
+    relaunch_if_needed(ranks)
+    greet()
+
+
+def main() -> None:
+    """Entry point: errors that a user can act on are one sentence, without a traceback."""
+    try:
+        cli(standalone_mode=False)
+    except ScaleupError as error:
+        _complain(str(error))
+        sys.exit(error.exit_code)
+    except click.exceptions.Abort:
+        _complain("interrupted")
+        sys.exit(130)
+    except click.ClickException as error:
+        _complain(" ".join(error.format_message().split()))
+        sys.exit(2)
+
+
+def _run(config: Any, folder: Path, *, overwrite: bool, resume: bool) -> None:
+    from scaleup import parallel
+
+    comm = parallel.start()
+    from scaleup.pipeline import run
+
+    _log_to_terminal(comm.rank == 0)
+    run(config, folder, comm, overwrite=overwrite, resume=resume)
+    if comm.rank == 0:
+        _print_summary(folder)
+
+
+def _print_summary(folder: Path) -> None:
+    import json
+
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    flow, mixing, timing = report["flow"], report["mixing"], report["timing"]
+    angle = flow["surface_angle_deg"]
+    click.echo(f"surface angle        {angle:.2f} deg" if angle is not None else "")
+    for wanted in (0, 1, 2, 3, 5, 10, 20, 50, 100):
+        for revolution, value in zip(
+            mixing["revolutions"], mixing["segregation_intensity"], strict=True
+        ):
+            if abs(revolution - wanted) < 1e-6:
+                click.echo(f"I after {wanted:3d} rev      {value:.4f}")
+    estimate = report["error_estimate"]["segregation_intensity"]
+    if estimate is not None:
+        click.echo(f"change on 2x cells   {estimate:.4f}")
+    click.echo(f"mass drift           {report['ledger']['mass_drift']:.2e}")
+    click.echo(
+        f"time                 flow {timing['flow_s']:.1f} s, mixing {timing['mixing_s']:.1f} s "
+        f"({timing['cell_updates_per_s']:.3g} cell updates/s on {timing['ranks']} rank(s)), "
+        f"total {timing['total_s']:.1f} s"
+    )
+    click.echo(f"report               {folder / 'report.html'}")
+
+
+def _log_to_terminal(root: bool) -> None:
+    log.setLevel(logging.INFO)
+    handler: logging.Handler = logging.StreamHandler() if root else logging.NullHandler()
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    log.addHandler(handler)
+    log.propagate = False
+
+
+def _number(key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{key} = {text!r}: must be a number") from None
+
+
+def _indented(text: str | None) -> str:
+    import inspect
+    import textwrap
+
+    return textwrap.indent(inspect.cleandoc(text or "(undocumented)"), "  ")
+
+
+def _complain(sentence: str) -> None:
+    size = launched_size()
+    if size is None or size == 1 or _is_root():
+        click.echo(f"Error: {sentence}", err=True)
+
+
+def _is_root() -> bool:
+    import os
+
+    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
+        if name in os.environ:
+            return os.environ[name] == "0"
+    return True

@@ -1,0 +1,284 @@
+"""The run configuration: composed from layers, validated whole before anything is built.
+
+Layers, later ones winning: the defaults here, the geometry's own default scene, the TOML file, the
+command line (`--set section.key=value`, then the short flags). Tables whose keys exclude each other
+(the kinds of fill and of grid) are replaced whole, and so is a table that names a plugin or a
+loading pattern when a later layer names another one; all else is merged key by key.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import tomli_w
+from pydantic import Field, ValidationError, model_validator
+
+from scaleup import registry, units
+from scaleup.errors import InputError
+from scaleup.registry import Kind
+from scaleup.scene import Diffusion, Material, Model, Operation
+
+PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
+_EXCLUSIVE = {("operation", "fill"), ("grid",)}
+_CHOICE: dict[tuple[str, ...], str] = {
+    ("geometry",): "name",
+    ("flow",): "name",
+    ("mixing",): "name",
+    ("operation", "loading"): "pattern",
+}
+
+
+class GridChoice(Model):
+    """How fine the mixing grid is, in one of two ways."""
+
+    spacing: units.Length | None = None
+    """m, edge of a cell"""
+    cells: Annotated[float, Field(ge=100, le=1e10)] | None = None
+    """wanted number of active cells (those that hold material)"""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if (self.spacing is None) == (self.cells is None):
+            raise ValueError("give exactly one of spacing, cells")
+        return self
+
+
+class Accuracy(Model):
+    """What the error estimate is and what is asked of it."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    """wanted error of the segregation intensity"""
+    estimate: bool = True
+    """repeat the mixing on cells twice as large (an eighth of the cost) to see the change"""
+    blended_rsd: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """relative standard deviation below which the powder counts as blended"""
+    scrutiny: Annotated[float, Field(ge=1, le=1000)] = 5.0
+    """scale of scrutiny: edge of a sample, in grain diameters"""
+
+
+class Output(Model):
+    """What is kept."""
+
+    metrics_every: Annotated[float, Field(gt=0, le=1)] = 0.05
+    """revolutions between points of the blend curve"""
+    snapshots_every: Annotated[float, Field(gt=0)] = 0.5
+    """revolutions between stored concentration fields"""
+
+
+class RunConfig(Model):
+    """A complete run. `geometry`, `flow` and `mixing` hold `name` and that plugin's options."""
+
+    geometry: dict[str, Any]
+    material: Material = Material()
+    operation: Operation = Operation()
+    flow: dict[str, Any]
+    diffusion: Diffusion = Diffusion()
+    mixing: dict[str, Any]
+    grid: GridChoice
+    accuracy: Accuracy = Accuracy()
+    output: Output = Output()
+
+    def options(self, kind: Kind) -> Any:
+        """The chosen plugin's validated Options."""
+        section = dict(getattr(self, kind))
+        plugin = registry.load(kind, section.pop("name"))
+        return plugin.Options.model_validate(section)
+
+    def plugin(self, kind: Kind) -> Any:
+        """The chosen plugin, constructed with its options."""
+        return registry.load(kind, getattr(self, kind)["name"])(self.options(kind))
+
+    def to_toml(self) -> str:
+        """The whole configuration; read again it gives this same run."""
+        tables: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
+        for kind in PLUGIN_SECTIONS:
+            options = self.options(kind).model_dump(mode="json", exclude_none=True)
+            tables[kind] = {"name": getattr(self, kind)["name"], **options}
+        return tomli_w.dumps(tables)
+
+
+def compose(
+    file: Path | None = None,
+    assignments: Iterable[str] = (),
+    flags: Mapping[str, Any] | None = None,
+) -> RunConfig:
+    """Compose and validate a configuration.
+
+    file        -- TOML
+    assignments -- texts `section.key=value`; a value is read as TOML, else taken as text
+    flags       -- nested tables of the command line's short flags
+    Raises InputError with one sentence naming key, value and rule.
+    """
+    assigned: dict[str, Any] = {}
+    for text in assignments:
+        assigned = _merged(assigned, _assigned(text), within_layer=True)
+    command_line = _merged(assigned, flags or {}, within_layer=True)
+    layers = [_read(file) if file else {}, command_line]
+    user: dict[str, Any] = {}
+    for layer in layers:
+        user = _merged(user, layer)
+    name = _section(user, "geometry").get("name", "drum")
+    geometry = registry.load("geometry", _text("geometry.name", name))
+    base = _merged({"geometry": {"name": name}}, geometry.default_scene)
+    for layer in layers:
+        base = _merged(base, layer)
+    for kind in PLUGIN_SECTIONS:
+        section = _section(base, kind)
+        if "name" not in section:
+            raise InputError(f"{kind}.name is missing; the geometry {name!r} has no default for it")
+        registry.load(kind, _text(f"{kind}.name", section["name"]))
+    config: RunConfig = _validated(RunConfig, base, "")
+    for kind in PLUGIN_SECTIONS:
+        section = dict(base[kind])
+        plugin = registry.load(kind, section.pop("name"))
+        _validated(plugin.Options, section, f"{kind}.")
+    config.plugin("flow").check(config.plugin("geometry"), config.operation)
+    fill_volume(config)
+    return config
+
+
+def fill_volume(config: RunConfig) -> float:
+    """The bed's volume, m^3. Raises InputError if the vessel cannot hold it."""
+    geometry, fill = config.plugin("geometry"), config.operation.fill
+    if fill.depth_ratio is not None:
+        bottom, top = geometry.lower[1], geometry.upper[1]
+        return float(geometry.volume_below(bottom + fill.depth_ratio * (top - bottom)))
+    if fill.volume_fraction is not None:
+        return float(fill.volume_fraction * geometry.volume)
+    assert fill.mass is not None  # the model's validator has seen to it
+    volume = fill.mass / config.material.bulk_density
+    if volume >= geometry.volume:
+        most = geometry.volume * config.material.bulk_density
+        raise InputError(f"operation.fill.mass = {fill.mass:g} kg: the vessel holds {most:.4g} kg")
+    return volume
+
+
+def fill_in_all_kinds(config: RunConfig) -> dict[str, float]:
+    """The fill as depth ratio, volume fraction and mass (kg), whichever was given."""
+    geometry, volume = config.plugin("geometry"), fill_volume(config)
+    bottom, top = geometry.lower[1], geometry.upper[1]
+    low, high = bottom, top
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if geometry.volume_below(middle) < volume else (low, middle)
+    return {
+        "depth_ratio": (0.5 * (low + high) - bottom) / (top - bottom),
+        "volume_fraction": volume / geometry.volume,
+        "mass": volume * config.material.bulk_density,
+    }
+
+
+def froude_number(config: RunConfig) -> float:
+    """Fr = omega^2 R / g with R the vessel's reach from the axis."""
+    from scaleup.scene import GRAVITY
+
+    return config.operation.speed**2 * float(config.plugin("geometry").reach) / GRAVITY
+
+
+def grid_spacing(config: RunConfig) -> float:
+    """Edge of a cell, m; from the wanted number of active cells if that was given."""
+    if config.grid.spacing is not None:
+        return config.grid.spacing
+    assert config.grid.cells is not None  # the model's validator has seen to it
+    geometry = config.plugin("geometry")
+    if geometry.dimension == 2:
+        return math.sqrt(fill_volume(config) / geometry.depth / config.grid.cells)
+    return float((fill_volume(config) / config.grid.cells) ** (1 / 3))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"the configuration {file} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"the configuration {file} is not TOML: {error}") from error
+
+
+def _assigned(text: str) -> dict[str, Any]:
+    key, equals, value = text.partition("=")
+    path = key.strip().split(".")
+    if not equals or len(path) < 2 or not all(path):
+        raise InputError(f"--set {text!r}: write it as section.key=value")
+    try:
+        parsed: Any = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()
+    for part in reversed(path):
+        parsed = {part: parsed}
+    return dict(parsed)
+
+
+def _merged(
+    base: Mapping[str, Any],
+    over: Mapping[str, Any],
+    path: tuple[str, ...] = (),
+    within_layer: bool = False,
+) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in over.items():
+        here, old = (*path, key), result.get(key)
+        merge = isinstance(value, Mapping) and isinstance(old, Mapping)
+        if merge and (within_layer or not _replaces(here, old or {}, value)):
+            value = _merged(old or {}, value, here, within_layer)
+        result[key] = value
+    return result
+
+
+def _replaces(path: tuple[str, ...], old: Mapping[str, Any], new: Mapping[str, Any]) -> bool:
+    choice = _CHOICE.get(path)
+    return path in _EXCLUSIVE or (
+        choice is not None and new.get(choice, old.get(choice)) != old.get(choice)
+    )
+
+
+def _section(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = tables.get(name, {})
+    if not isinstance(section, Mapping):
+        raise InputError(f"{name} = {section!r}: must be a table with a name")
+    return section
+
+
+def _text(key: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise InputError(f"{key} = {value!r}: must be a text")
+    return value
+
+
+def _validated(model: type[Any], data: Mapping[str, Any], prefix: str) -> Any:
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise InputError(_sentence(error, prefix, model)) from None
+
+
+def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
+    """The first of pydantic's findings as one sentence: key = value: rule."""
+    findings = error.errors()
+    first = findings[0]
+    key = prefix + ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        rule = "unknown key"
+        known = _known_keys(model, first["loc"][:-1])
+        if known:
+            rule += f"; known here: {', '.join(known)}"
+    else:
+        rule = first["msg"].removeprefix("Value error, ")
+        rule = rule[:1].lower() + rule[1:]
+    value = first["input"]
+    shown = f" = {value!r}" if not isinstance(value, Mapping) or len(value) <= 3 else ""
+    more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+    return f"{key.rstrip('.')}{shown}: {rule}{more}"
+
+
+def _known_keys(model: type[Any], path: tuple[Any, ...]) -> list[str]:
+    for part in path:
+        field = model.model_fields.get(part)
+        if field is None or not hasattr(field.annotation, "model_fields"):
+            return []
+        model = field.annotation
+    return list(model.model_fields)

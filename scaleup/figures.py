@@ -1,0 +1,164 @@
+"""Figures of a run (matplotlib, PNG), after those of Liu, Gonzalez & Wassgren 2018."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from scaleup.flow_field import FlowField
+from scaleup.grid import FloatArray, Grid
+
+_MM = 1e3
+
+
+def snapshots(
+    path: Path, grid: Grid, fields: Sequence[tuple[float, Mapping[str, FloatArray]]]
+) -> None:
+    """Concentration of the first component at up to six revolutions (the paper's Fig. 14)."""
+    chosen = [fields[i] for i in np.unique(np.linspace(0, len(fields) - 1, 6).round().astype(int))]
+    columns = min(3, len(chosen))
+    rows = math.ceil(len(chosen) / columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(3.6 * columns, 2.9 * rows), squeeze=False, layout="constrained"
+    )
+    image: Any = None
+    for axis, (revolution, values) in zip(axes.flat, chosen, strict=False):
+        image = _map(axis, grid, values["concentration_1"], cmap="viridis", vmin=0, vmax=1)
+        axis.set_title(f"{revolution:.2f} revolutions", fontsize=10)
+    for axis in axes.flat[len(chosen) :]:
+        axis.axis("off")
+    figure.colorbar(image, ax=axes, label="concentration of component 1", shrink=0.8)
+    _save(figure, path)
+
+
+def speed_map(path: Path, flow: FlowField) -> None:
+    """Speed of the powder (the paper's Fig. 11)."""
+    interval = flow.intervals[len(flow.intervals) - 1]
+    velocity = interval.velocity(flow.grid)
+    speed = np.full(flow.grid.cells, np.nan)
+    speed[interval.cells] = np.linalg.norm(velocity, axis=0)
+    figure, axis = plt.subplots(figsize=(6, 4.4), layout="constrained")
+    top = float(np.nanpercentile(speed, 99.9))
+    image = _map(axis, flow.grid, speed.reshape(flow.grid.shape), cmap="turbo", vmin=0, vmax=top)
+    axis.set_title(f"speed in the {flow.frame} frame", fontsize=10)
+    figure.colorbar(image, ax=axis, label="speed, m/s")
+    _save(figure, path)
+
+
+def velocity_profiles(path: Path, flow: FlowField, angle: float) -> None:
+    """Velocity along the free surface and along the mid-bed normal (the paper's Fig. 12).
+
+    angle -- rad, of the surface; for a plane lab-frame flow
+    """
+    grid, interval = flow.grid, flow.intervals[len(flow.intervals) - 1]
+    velocity = np.full((2, grid.cells), np.nan)
+    velocity[:, interval.cells] = interval.velocity(grid)
+    fill = np.zeros(grid.cells)
+    fill[interval.cells] = interval.fill_start / grid.cell_volume
+    velocity[:, fill < 0.5] = np.nan
+    down = -np.array([math.cos(angle), math.sin(angle)])
+    normal = np.array([-math.sin(angle), math.cos(angle)])
+    reach = float(np.abs(np.array(grid.lower)).max())
+    along_normal = np.arange(reach, -reach, -0.5 * grid.spacing[0])
+    centre = _along(grid, velocity, along_normal[:, None] * normal) @ down
+    in_bed = np.isfinite(centre)
+    surface = float(along_normal[in_bed][0])
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    s = np.arange(-reach, reach, grid.spacing[0])
+    # the outermost full cell below the surface at every s
+    depths = np.arange(-0.15, 0.3, 0.004) * reach
+    best = np.full(len(s), np.nan)
+    for depth in depths[::-1]:
+        speed = _along(grid, velocity, s[:, None] * down + (surface - depth) * normal) @ down
+        best = np.where(np.isfinite(speed), speed, best)
+    left.plot(s * _MM, best)
+    left.set(xlabel="distance down the surface from mid-bed, mm", ylabel="surface speed, m/s")
+    right.plot(centre[in_bed], (surface - along_normal[in_bed]) * _MM)
+    right.axvline(0, color="0.7", lw=0.8)
+    right.invert_yaxis()
+    right.set(xlabel="streamwise velocity at mid-bed, m/s", ylabel="depth, mm")
+    _save(figure, path)
+
+
+def blend_curve(
+    path: Path,
+    revolutions: Sequence[float],
+    curves: Mapping[str, Sequence[float]],
+    band: Sequence[float] | None,
+) -> None:
+    """Segregation intensity against revolutions (the paper's Fig. 16b).
+
+    band -- error estimate of the first curve, or None
+    """
+    figure, axis = plt.subplots(figsize=(6, 3.8), layout="constrained")
+    for number, (label, values) in enumerate(curves.items()):
+        (line,) = axis.plot(revolutions, values, label=label)
+        if number == 0 and band is not None:
+            low, high = np.array(values) - band, np.array(values) + band
+            axis.fill_between(
+                revolutions, low, high, color=line.get_color(), alpha=0.25, lw=0,
+                label="change on cells twice as large",
+            )  # fmt: skip
+    axis.set(xlabel="revolutions", ylabel="segregation intensity I", ylim=(0, 1.02))
+    axis.grid(alpha=0.3)
+    axis.legend()
+    _save(figure, path)
+
+
+def centre_profiles(path: Path, profiles: Mapping[str, Sequence[Sequence[float]]]) -> None:
+    """Concentration along the bed's centre line (the paper's Fig. 15)."""
+    figure, axis = plt.subplots(figsize=(6, 3.8), layout="constrained")
+    colours = plt.get_cmap("plasma")(np.linspace(0, 0.85, len(profiles)))
+    for colour, (revolution, (depth, values)) in zip(colours, profiles.items(), strict=True):
+        axis.plot(depth, values, color=colour, label=f"{float(revolution):.2f} rev")
+    axis.set(
+        xlabel="depth below the surface / bed depth",
+        ylabel="concentration of component 1",
+        ylim=(-0.05, 1.05),
+    )
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+    _save(figure, path)
+
+
+def _along(grid: Grid, velocity: FloatArray, points: FloatArray) -> FloatArray:
+    """Velocity of the cells that hold the points, (n, 2); NaN outside the bed."""
+    index = np.floor((points - np.array(grid.lower)) / np.array(grid.spacing)).astype(int)
+    inside = np.all((index >= 0) & (index < np.array(grid.counts)), axis=1)
+    flat = np.where(inside, index[:, 1] * grid.counts[0] + index[:, 0], 0)
+    return np.where(inside[:, None], velocity[:, flat].T, np.nan)
+
+
+def _map(axis: Axes, grid: Grid, values: FloatArray, **style: Any) -> Any:
+    if values.ndim == 3:  # a section through the middle of the vessel
+        values = values[values.shape[0] // 2]
+    low, spacing = grid.lower, grid.spacing
+    extent = (
+        _MM * low[0],
+        _MM * (low[0] + grid.counts[0] * spacing[0]),
+        _MM * low[1],
+        _MM * (low[1] + grid.counts[1] * spacing[1]),
+    )
+    image = axis.imshow(values, origin="lower", extent=extent, interpolation="nearest", **style)
+    rows, columns = np.nonzero(np.isfinite(values))
+    x, y = grid.centres(0)[columns] * _MM, grid.centres(1)[rows] * _MM
+    axis.set(xlim=(x.min() - 2, x.max() + 2), ylim=(y.min() - 2, y.max() + 2))
+    axis.set_aspect("equal")
+    axis.set(xlabel="x, mm", ylabel="y, mm")
+    return image
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=110, metadata={"Software": "scaleup"})
+    plt.close(figure)

@@ -1,0 +1,131 @@
+"""Measures of mixedness.
+
+Over nodes, as Liu, Gonzalez & Wassgren 2018 (Eq. 22-25):
+
+    I = sigma^2 / sigma_0^2,  sigma^2 = sum (c_mean - c_m)^2 / (M - 1),  sigma_0^2 = c (1 - c).
+
+At a scale of scrutiny the bed is cut into boxes of that edge; a sample's concentration is the
+fill-weighted mean in its box, samples are weighted by their fill, and boxes less than half full
+are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from scaleup.flow_field import Interval
+from scaleup.grid import FloatArray, Grid, IntArray
+
+
+@dataclass(frozen=True)
+class Mixedness:
+    """Measures of one component at one time, all dimensionless.
+
+    intensity        -- segregation intensity over nodes (cells at least half full)
+    intensity_sample -- the same at the scale of scrutiny
+    lacey            -- (s0^2 - s^2)/(s0^2 - sr^2), sr^2 = c(1 - c)/N for N grains a sample
+    rsd              -- standard deviation over mean, at the scale of scrutiny
+    """
+
+    intensity: float
+    intensity_sample: float
+    lacey: float
+    rsd: float
+
+
+class Sampler:
+    """Cuts the bed of one interval into samples at a scale of scrutiny."""
+
+    def __init__(self, grid: Grid, interval: Interval, time: float, edge: float):
+        """`edge`: wanted edge of a sample, m; rounded to whole cells, at least one."""
+        fill = interval.fill(time)
+        self._node = fill >= 0.5 * grid.cell_volume
+        position = np.unravel_index(interval.cells, grid.shape)
+        block = [
+            max(1, round(edge / grid.spacing[grid.array_axis(dim)])) for dim in range(len(position))
+        ]
+        shape = [n // b + 1 for n, b in zip(grid.shape, block, strict=True)]
+        box = np.ravel_multi_index([p // b for p, b in zip(position, block, strict=True)], shape)
+        _, self._box = np.unique(box, return_inverse=True)
+        held = np.bincount(self._box, weights=fill)
+        full = held >= 0.5 * grid.cell_volume * math.prod(block)
+        self._fill, self._held, self._full = fill, held, full
+        self.sample_volume = float(held[full].mean()) if full.any() else 0.0
+
+    @property
+    def nodes(self) -> IntArray:
+        """Positions, among the active cells, of the cells that are at least half full."""
+        return np.flatnonzero(self._node)
+
+    def measure(self, concentration: FloatArray, grains_per_volume: float) -> Mixedness:
+        """Mixedness of a component, (n,) on the active cells; grains_per_volume in 1/m^3."""
+        at_nodes = concentration[self._node]
+        intensity = _ratio(float(at_nodes.var(ddof=1)), float(at_nodes.mean()))
+        content = np.bincount(self._box, weights=concentration * self._fill)
+        weight = self._held[self._full]
+        samples = content[self._full] / weight
+        mean = float(np.average(samples, weights=weight))
+        variance = float(np.average((samples - mean) ** 2, weights=weight))
+        unmixed = mean * (1 - mean)
+        random = unmixed / max(1.0, self.sample_volume * grains_per_volume)
+        return Mixedness(
+            intensity=intensity,
+            intensity_sample=_ratio(variance, mean),
+            lacey=(unmixed - variance) / (unmixed - random) if unmixed > random else 1.0,
+            rsd=math.sqrt(variance) / mean if mean > 0 else math.inf,
+        )
+
+
+def blend_time(revolutions: list[float], rsd: list[float], limit: float) -> float | None:
+    """First revolution at which the RSD is below `limit` for good; None if never (or not yet)."""
+    below = [value < limit for value in rsd]
+    if not below or not below[-1]:
+        return None
+    first = len(below) - 1
+    while first > 0 and below[first - 1]:
+        first -= 1
+    if first == 0:
+        return revolutions[0]
+    a, b = math.log(rsd[first - 1]), math.log(max(rsd[first], 1e-300))
+    share = (a - math.log(limit)) / (a - b)
+    return revolutions[first - 1] + share * (revolutions[first] - revolutions[first - 1])
+
+
+def decay_rate(revolutions: list[float], intensity: list[float]) -> float | None:
+    """Rate r of I ~ exp(-r rev), fitted where I < 0.8; None with fewer than four such points."""
+    points = [(x, math.log(y)) for x, y in zip(revolutions, intensity, strict=True) if 0 < y < 0.8]
+    if len(points) < 4:
+        return None
+    x, y = np.array(points).T
+    return float(-np.polyfit(x, y, 1)[0])
+
+
+def centre_line(
+    grid: Grid, interval: Interval, concentration: FloatArray, angle: float
+) -> tuple[FloatArray, FloatArray]:
+    """Concentration along the line through the axis normal to a plane surface in the lab frame.
+
+    concentration -- (n,) on the active cells; angle -- rad, of the surface
+    Returns (depth below the surface over the bed's depth, concentration); the paper's Fig. 15.
+    """
+    dense = np.full(grid.cells, np.nan)
+    dense[interval.cells] = concentration
+    normal = np.array([-math.sin(angle), math.cos(angle)])
+    reach = np.abs(np.array(grid.lower)).max()
+    distance = np.arange(-reach, reach, 0.5 * min(grid.spacing))
+    points = distance[:, None] * normal
+    index = np.floor((points - np.array(grid.lower)) / np.array(grid.spacing)).astype(int)
+    valid = np.all((index >= 0) & (index < np.array(grid.counts)), axis=1)
+    flat = index[valid, 1] * grid.counts[0] + index[valid, 0]
+    values, along = dense[flat], distance[valid]
+    in_bed = np.isfinite(values)
+    along, values = along[in_bed][::-1], values[in_bed][::-1]
+    return (along[0] - along) / (along[0] - along[-1]), values
+
+
+def _ratio(variance: float, mean: float) -> float:
+    unmixed = mean * (1 - mean)
+    return variance / unmixed if unmixed > 0 else 0.0

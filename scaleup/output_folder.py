@@ -1,0 +1,60 @@
+"""The run folder: it appears when a run is complete, and is never half a run.
+
+Until then the content lies in `FOLDER.partial`, from which `scaleup resume FOLDER` goes on.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from scaleup.errors import InputError
+from scaleup.files import write_text
+
+
+def work_folder(folder: Path) -> Path:
+    """Where an unfinished run lies."""
+    return folder.with_name(folder.name + ".partial")
+
+
+def check_output(folder: Path, *, overwrite: bool, resume: bool) -> None:
+    """Raise InputError if a run may not be written to this folder."""
+    work = work_folder(folder)
+    if resume:
+        if not (work / "config.toml").exists():
+            raise InputError(f"{folder}: there is no unfinished run to resume ({work} is missing)")
+        return
+    if overwrite:
+        if folder.exists() and any(folder.iterdir()) and not (folder / "report.json").exists():
+            raise InputError(f"--output {folder}: is not a run folder; --overwrite leaves it alone")
+        return
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"--output {folder}: is there already; give another or add --overwrite")
+    if work.exists():
+        raise InputError(
+            f"--output {folder}: an unfinished run is there; 'scaleup resume {folder}' goes on "
+            "with it, --overwrite discards it"
+        )
+
+
+def open_folder(folder: Path, config_toml: str, *, overwrite: bool, resume: bool) -> Path:
+    """The folder to work in, with its config.toml; checks first as `check_output`."""
+    check_output(folder, overwrite=overwrite, resume=resume)
+    work = work_folder(folder)
+    if not resume:
+        if work.exists():
+            shutil.rmtree(work)
+        work.mkdir(parents=True)
+        write_text(work / "config.toml", config_toml)
+    return work
+
+
+def publish(work: Path, folder: Path) -> None:
+    """Put the finished run in its place; what it overwrites goes only then."""
+    old = folder.with_name(f".{folder.name}.old")
+    if folder.exists():
+        os.replace(folder, old)
+    os.replace(work, folder)
+    if old.exists():
+        shutil.rmtree(old)

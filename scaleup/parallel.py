@@ -1,0 +1,61 @@
+"""MPI: a late start, an abort that leaves no rank waiting, and work for the root alone."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from scaleup.errors import ScaleupError
+
+T = TypeVar("T")
+
+_POLL_SECONDS = 0.02
+
+
+def start() -> Any:
+    """Start MPI and PETSc and return the world communicator (mpi4py).
+
+    From here on an exception that nobody catches on one rank ends all of them; without that the
+    others would wait for it for ever.
+    """
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    if comm.size > 1:
+        previous = sys.excepthook
+
+        def abort(kind: Any, error: Any, traceback: Any) -> None:
+            previous(kind, error, traceback)
+            sys.stderr.flush()
+            comm.Abort(1)
+
+        sys.excepthook = abort
+    import petsc4py
+
+    petsc4py.init(sys.argv[:1])
+    return comm
+
+
+def on_root(comm: Any, work: Callable[[], T]) -> T:
+    """Run `work` on rank 0 and return its result on every rank.
+
+    The other ranks sleep meanwhile instead of spinning, so that the root may use their cores. An
+    error on the root is raised on every rank.
+    """
+    result: T | None = None
+    failure: ScaleupError | None = None
+    if comm.rank == 0:
+        try:
+            result = work()
+        except ScaleupError as error:
+            failure = error
+    if comm.size > 1:
+        request = comm.Ibarrier()
+        while not request.Test():
+            time.sleep(_POLL_SECONDS)
+        result, failure = comm.bcast((result, failure), root=0)
+    if failure is not None:
+        raise failure
+    return result  # type: ignore[return-value]  # every rank has the root's by now

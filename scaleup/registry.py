@@ -1,0 +1,80 @@
+"""Plugins found through entry points; this module alone reads them.
+
+Names are listed without importing anything. A plugin is imported when it is used, and an error in
+it is reported with its distribution's name.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import warnings
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+
+from scaleup.errors import PluginError
+
+Kind = Literal["geometry", "flow", "mixing"]
+GROUPS: dict[Kind, str] = {
+    "geometry": "scaleup.geometries",
+    "flow": "scaleup.flow",
+    "mixing": "scaleup.mixing",
+}
+
+
+def available(kind: Kind) -> dict[str, EntryPoint]:
+    """Registered names of one kind, in alphabetical order, without importing any plugin.
+
+    Raises PluginError if two distributions register the same name.
+    """
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=GROUPS[kind]), key=lambda p: p.name):
+        other = found.get(point.name)
+        if other is None:
+            found[point.name] = point
+        elif (other.value, distribution(other)) != (point.value, distribution(point)):
+            raise PluginError(
+                f"the {kind} {point.name!r} is registered twice, by {distribution(other)} and by "
+                f"{distribution(point)}; uninstall one of them"
+            )
+    return found
+
+
+def load(kind: Kind, name: str) -> Any:
+    """The plugin class registered under a name.
+
+    Raises PluginError if the name is unknown (listing the known ones) or if importing it fails
+    (naming the distribution it came from).
+    """
+    known = available(kind)
+    if name not in known:
+        names = ", ".join(known) or "none"
+        raise PluginError(f"{kind}.name = {name!r}: no such {kind}; installed are: {names}")
+    point = known[name]
+    try:
+        plugin = point.load()
+    except Exception as error:
+        raise PluginError(
+            f"the {kind} {name!r} of the distribution {distribution(point)} cannot be imported "
+            f"({type(error).__name__}: {error})"
+        ) from error
+    if not hasattr(plugin, "Options"):
+        raise PluginError(
+            f"the {kind} {name!r} of the distribution {distribution(point)} has no Options class"
+        )
+    return plugin
+
+
+def warn_of_broken(kind: Kind) -> None:
+    """Warn of registered plugins whose package is not there, without importing any."""
+    for name, point in available(kind).items():
+        if importlib.util.find_spec(point.module.partition(".")[0]) is None:
+            warnings.warn(
+                f"the {kind} {name!r} of the distribution {distribution(point)} is broken: "
+                f"there is no module {point.module!r}",
+                stacklevel=2,
+            )
+
+
+def distribution(point: EntryPoint) -> str:
+    """Name and version of the distribution that registers an entry point."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "unknown"

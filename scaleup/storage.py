@@ -1,0 +1,283 @@
+"""Files: stored flows, checkpoints, results and their ParaView description.
+
+All HDF5 is written by the root through a temporary name, so that a reader, or a run that is
+killed, never meets half a file. Datasets carry their SI unit, files their `format_version`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+import scaleup
+from scaleup.errors import RunError
+from scaleup.files import replacing, write_text
+from scaleup.flow_field import Axis, FlowField, Interval
+from scaleup.grid import FloatArray, Grid
+
+FORMAT_VERSION = 1
+_UNITS = {
+    "cells": "1",
+    "fill_start": "m^3",
+    "fill_end": "m^3",
+    "flux": "m^3/s",
+    "shear_rate": "1/s",
+    "direction": "1",
+}
+
+
+def content_hash(inputs: Mapping[str, Any], plugin: type) -> str:
+    """Hash of JSON-like inputs, the version of scaleup and the source of the plugin's package."""
+    source = Path(inspect.getfile(plugin)).parent
+    digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
+    digest.update(scaleup.__version__.encode())
+    for file in sorted(source.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:20]
+
+
+class Store:
+    """Expensive results kept between runs, found by the hash of all that they depend on."""
+
+    def __init__(self, folder: Path | None = None):
+        """`folder`: default $SCALEUP_CACHE, else ~/.cache/scaleup."""
+        default = os.environ.get("SCALEUP_CACHE") or Path.home() / ".cache" / "scaleup"
+        self.folder = Path(folder or default)
+
+    def path(self, kind: str, key: str) -> Path:
+        """Where a result of a kind (`flow`, `part`) is kept."""
+        return self.folder / f"{kind}-{key}.h5"
+
+    def memory_of(self, plugin: type) -> PluginMemory:
+        """What `scaleup.api.Memory` promises, for one plugin."""
+        return PluginMemory(self, plugin)
+
+
+class PluginMemory:
+    """Arrays of one plugin in a store, under the hash of the inputs that they came from."""
+
+    def __init__(self, store: Store, plugin: type):
+        self._store, self._plugin = store, plugin
+
+    def recall(self, inputs: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """The arrays kept under these inputs, or None."""
+        path = self._path(inputs)
+        if not path.exists():
+            return None
+        with h5py.File(path, "r") as file:
+            return {name: np.asarray(data) for name, data in file.items()}
+
+    def keep(self, inputs: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep arrays under these inputs, in place of older ones."""
+        path = self._path(inputs)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+            file.attrs["format_version"] = FORMAT_VERSION
+            for name, array in arrays.items():
+                file.create_dataset(name, data=array)
+
+    def forget(self, inputs: Mapping[str, Any]) -> None:
+        """Drop what is kept under these inputs, if anything is."""
+        self._path(inputs).unlink(missing_ok=True)
+
+    def _path(self, inputs: Mapping[str, Any]) -> Path:
+        return self._store.path("part", content_hash(inputs, self._plugin))
+
+
+def write_flow(path: Path, flow: FlowField) -> None:
+    """Store a FlowField, interval by interval."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["format_version"] = FORMAT_VERSION
+        file.attrs["frame"] = flow.frame
+        file.attrs["angular_velocity"] = flow.angular_velocity
+        file.attrs["lift"] = flow.lift
+        file.attrs["prefix"] = flow.prefix
+        file.attrs["axis_point"] = flow.axis.point
+        file.attrs["axis_direction"] = flow.axis.direction
+        file.attrs["summary"] = json.dumps(dict(flow.summary))
+        _write_grid(file, flow.grid)
+        for number, interval in enumerate(flow.intervals):
+            group = file.create_group(f"intervals/{number:06d}")
+            group.attrs["start"], group.attrs["end"] = interval.start, interval.end
+            for name, unit in _UNITS.items():
+                group.create_dataset(name, data=getattr(interval, name)).attrs["unit"] = unit
+
+
+def read_flow(path: Path) -> FlowField:
+    """Open a stored FlowField; its intervals are read when asked for."""
+    with h5py.File(path, "r") as file:
+        if file.attrs.get("format_version") != FORMAT_VERSION:
+            raise RunError(f"{path} is of another format version; delete it and solve again")
+        return FlowField(
+            grid=_read_grid(file),
+            frame=file.attrs["frame"],
+            axis=Axis(tuple(file.attrs["axis_point"]), tuple(file.attrs["axis_direction"])),
+            angular_velocity=float(file.attrs["angular_velocity"]),
+            intervals=_StoredIntervals(path, len(file["intervals"])),
+            lift=float(file.attrs["lift"]),
+            prefix=int(file.attrs["prefix"]),
+            summary=json.loads(file.attrs["summary"]),
+        )
+
+
+class _StoredIntervals(Sequence[Interval]):
+    """Intervals in a file; the last one read is kept in memory."""
+
+    def __init__(self, path: Path, count: int):
+        self._path, self._count = path, count
+        self._last: tuple[int, Interval] | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> Interval: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Interval]: ...
+    def __getitem__(self, index: int | slice) -> Interval | Sequence[Interval]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(self._count))]
+        if not -self._count <= index < self._count:
+            raise IndexError(index)
+        number = index % self._count
+        if self._last is None or self._last[0] != number:
+            with h5py.File(self._path, "r") as file:
+                group = file[f"intervals/{number:06d}"]
+                arrays: dict[str, Any] = {name: np.asarray(group[name]) for name in _UNITS}
+                times = float(group.attrs["start"]), float(group.attrs["end"])
+            self._last = number, Interval(*times, **arrays)
+        return self._last[1]
+
+
+class Results:
+    """`results.h5`: concentration fields over time, and `results.xdmf`, which ParaView opens."""
+
+    def __init__(self, folder: Path, grid: Grid, period: float):
+        self._path = folder / "results.h5"
+        self._xdmf = folder / "results.xdmf"
+        self._grid, self._period = grid, period
+
+    def create(self) -> None:
+        """Begin an empty file."""
+        with replacing(self._path) as temporary, h5py.File(temporary, "w") as file:
+            file.attrs["format_version"] = FORMAT_VERSION
+            _write_grid(file, self._grid)
+            file.create_group("snapshots")
+
+    def add(
+        self, revolution: float, interval: Interval, time: float, concentration: FloatArray
+    ) -> None:
+        """Append the fields at one time; cells without material hold NaN."""
+        dense = {"fill_fraction": interval.fill(time) / self._grid.cell_volume}
+        dense |= {f"concentration_{k + 1}": c for k, c in enumerate(concentration)}
+        for axis, component in enumerate(interval.velocity(self._grid)):
+            dense["velocity_" + "xyz"[axis]] = component
+        with h5py.File(self._path, "a") as file:
+            name = f"snapshots/{revolution:012.6f}"
+            if name in file:  # a resumed run repeats the last snapshot before its checkpoint
+                del file[name]
+            group = file.create_group(name)
+            group.attrs["revolution"] = revolution
+            for field, values in dense.items():
+                whole = np.full(self._grid.cells, np.nan)
+                whole[interval.cells] = values
+                data = group.create_dataset(
+                    field, data=whole.reshape(self._grid.shape), compression="gzip", shuffle=True
+                )
+                data.attrs["unit"] = "m/s" if field.startswith("velocity") else "1"
+
+    def snapshots(self) -> list[tuple[float, dict[str, FloatArray]]]:
+        """All stored (revolution, fields by name)."""
+        with h5py.File(self._path, "r") as file:
+            return [
+                (
+                    float(group.attrs["revolution"]),
+                    {name: np.asarray(data) for name, data in group.items()},
+                )
+                for group in file["snapshots"].values()
+            ]
+
+    def write_xdmf(self) -> None:
+        """Describe the snapshots as a time series (s) of a uniform grid."""
+        grid = self._grid
+        kind, origin = (
+            ("2DCoRectMesh", "ORIGIN_DXDY")
+            if grid.dimension == 2
+            else (
+                "3DCoRectMesh",
+                "ORIGIN_DXDYDZ",
+            )
+        )
+        nodes = " ".join(str(n + 1) for n in grid.shape)
+        shape = " ".join(str(n) for n in grid.shape)
+        lower = " ".join(repr(x) for x in reversed(grid.lower))
+        spacing = " ".join(repr(h) for h in reversed(grid.spacing))
+        parts = []
+        with h5py.File(self._path, "r") as file:
+            for name, group in file["snapshots"].items():
+                attributes = "".join(
+                    f'<Attribute Name="{field}" AttributeType="Scalar" Center="Cell">'
+                    f'<DataItem Dimensions="{shape}" NumberType="Float" Precision="8" '
+                    f'Format="HDF">results.h5:/snapshots/{name}/{field}</DataItem></Attribute>'
+                    for field in group
+                )
+                time = float(group.attrs["revolution"]) * self._period
+                parts.append(
+                    f'<Grid Name="bed" GridType="Uniform"><Time Value="{time!r}"/>'
+                    f'<Topology TopologyType="{kind}" Dimensions="{nodes}"/>'
+                    f'<Geometry GeometryType="{origin}">'
+                    f'<DataItem Dimensions="{grid.dimension}" Format="XML">{lower}</DataItem>'
+                    f'<DataItem Dimensions="{grid.dimension}" Format="XML">{spacing}</DataItem>'
+                    f"</Geometry>{attributes}</Grid>"
+                )
+        write_text(
+            self._xdmf,
+            '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>'
+            '<Grid Name="blend" GridType="Collection" CollectionType="Temporal">\n'
+            + "\n".join(parts)
+            + "\n</Grid></Domain></Xdmf>\n",
+        )
+
+
+def write_checkpoint(path: Path, arrays: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+    """Store arrays and a JSON-like state; replaces the previous checkpoint at once."""
+    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["format_version"] = FORMAT_VERSION
+        file.attrs["state"] = json.dumps(state)
+        for name, array in arrays.items():
+            file.create_dataset(name, data=array)
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """The arrays and the state of a checkpoint."""
+    with h5py.File(path, "r") as file:
+        return {name: np.asarray(data) for name, data in file.items()}, json.loads(
+            file.attrs["state"]
+        )
+
+
+def _write_grid(file: Any, grid: Grid) -> None:
+    group = file.create_group("grid")
+    group.attrs["lower"], group.attrs["spacing"] = grid.lower, grid.spacing
+    group.attrs["counts"], group.attrs["depth"] = grid.counts, grid.depth
+    group.attrs["unit"] = "m"
+
+
+def _read_grid(file: Any) -> Grid:
+    attributes = file["grid"].attrs
+    return Grid(
+        lower=tuple(float(x) for x in attributes["lower"]),
+        spacing=tuple(float(h) for h in attributes["spacing"]),
+        counts=tuple(int(n) for n in attributes["counts"]),
+        depth=float(attributes["depth"]),
+    )

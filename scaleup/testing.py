@@ -1,0 +1,166 @@
+"""Contract checks for plugins: each raises ContractError with the rule and the figure it broke."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from scaleup.cut_cells import cut_fraction
+from scaleup.errors import ContractError
+from scaleup.flow_field import FlowField
+from scaleup.grid import Grid, grid_over
+
+_ROUND_OFF = 1e-12
+
+
+def check_flow(flow: FlowField, geometry: Any = None, fill_volume: float | None = None) -> None:
+    """Check the invariants of a FlowField.
+
+    1 intervals are contiguous and cells ascending; 2 fill_end = fill_start - dt div(flux) to
+    round-off; 3 fills are continuous between intervals and over the period; 4 0 <= fill <= vessel
+    volume of the cell (of the whole cell without `geometry`, or with a lab-frame 3-D one); 5 the
+    total is `fill_volume`; 6 no flux touches an inactive cell or the edge of the grid; 7
+    directions are unit vectors or zero, shear rates >= 0, all numbers finite.
+    """
+    grid = flow.grid
+    capacity = np.full(grid.cells, grid.cell_volume)
+    if geometry is not None:
+        wall = geometry.signed_distance(grid.corner_points())
+        capacity = (cut_fraction(wall) * grid.cell_volume).ravel()
+    slack = _ROUND_OFF * grid.cell_volume
+    previous = None
+    for number, part in enumerate(flow.intervals):
+        where = f"interval {number}"
+        if len(part.cells) == 0 or np.any(np.diff(part.cells) <= 0):
+            raise ContractError(f"{where}: cells must be ascending and not empty")
+        if part.duration <= 0:
+            raise ContractError(f"{where}: must last longer than 0 s")
+        for name in ("fill_start", "fill_end", "flux", "shear_rate", "direction"):
+            if not np.all(np.isfinite(getattr(part, name))):
+                raise ContractError(f"{where}: {name} has values that are not finite")
+        _check_closed(flow, number)
+        scale = max(grid.cell_volume, part.duration * float(np.abs(part.flux).max(initial=0.0)))
+        gap = part.fill_end - part.fill_start + part.duration * part.outflow(grid)
+        # a steady part holds for ever, so its divergence is judged against the fluxes alone
+        if float(np.abs(gap).max()) > _ROUND_OFF * scale:
+            raise ContractError(
+                f"{where}: fill and flux disagree by {np.abs(gap).max() / grid.cell_volume:.2g} of "
+                "a cell; fill_end must be fill_start - dt div(flux)"
+            )
+        for fill in (part.fill_start, part.fill_end):
+            low, over = float(fill.min()), float((fill - capacity[part.cells]).max())
+            if low < -slack or over > slack:
+                raise ContractError(
+                    f"{where}: fill must lie in [0, vessel volume of the cell]; it is below by "
+                    f"{max(0.0, -low) / grid.cell_volume:.2g} or above by "
+                    f"{max(0.0, over) / grid.cell_volume:.2g} of a cell"
+                )
+            if fill_volume is not None:
+                drift = float(fill.sum() / fill_volume - 1.0)
+                if abs(drift) > _ROUND_OFF:
+                    raise ContractError(f"{where}: the fill is off by {drift:.2g} of the bed")
+        if np.any(part.shear_rate < 0):
+            raise ContractError(f"{where}: shear_rate must not be negative")
+        length = np.linalg.norm(part.direction, axis=0)
+        if np.any((np.abs(length - 1.0) > 1e-9) & (length > 1e-9)):
+            raise ContractError(f"{where}: direction must be unit vectors or zero")
+        if previous is not None:
+            _check_joined(grid, previous, part, where)
+        previous = part
+    if previous is not None and flow.prefix < len(flow.intervals):
+        _check_joined(grid, previous, flow.intervals[flow.prefix], "the periodic part", wrap=True)
+
+
+def _check_closed(flow: FlowField, number: int) -> None:
+    """Every face with flux lies between two active cells."""
+    part, grid = flow.intervals[number], flow.grid
+    active = np.zeros(grid.cells, dtype=bool)
+    active[part.cells] = True
+    active = active.reshape(grid.shape)
+    for axis, faces in enumerate(part.face_fluxes(grid)):
+        along = grid.array_axis(axis)
+        inner = np.take(faces, range(1, grid.shape[along]), along)
+        both = np.take(active, range(1, grid.shape[along]), along) & np.take(
+            active, range(grid.shape[along] - 1), along
+        )
+        leak = max(
+            float(np.abs(np.where(both, 0.0, inner)).max(initial=0.0)),
+            float(np.abs(np.take(faces, 0, along)).max(initial=0.0)),
+        )
+        if leak > 0:
+            raise ContractError(
+                f"interval {number}: a flux of {leak:.2g} m^3/s leaves the bed along axis {axis}"
+            )
+
+
+def _check_joined(grid: Grid, before: Any, after: Any, where: str, wrap: bool = False) -> None:
+    if not wrap and before.end != after.start:
+        raise ContractError(f"{where}: starts at {after.start:g} s, not at {before.end:g} s")
+    ends, starts = np.zeros(grid.cells), np.zeros(grid.cells)
+    ends[before.cells], starts[after.cells] = before.fill_end, after.fill_start
+    jump = float(np.abs(ends - starts).max()) / grid.cell_volume
+    if jump > 1e-9:
+        raise ContractError(f"{where}: the fill jumps by {jump:.2g} of a cell where it joins")
+
+
+def check_geometry(geometry: Any) -> None:
+    """Check a geometry against itself.
+
+    1 the box lies around the inside; 2 volume equals that below the top and the quadrature of the
+    signed distance within 0.1 %; 3 the signed distance has slope 1 near the wall; 4 `reach` is
+    the greatest distance from the axis.
+    """
+    lower, upper = np.array(geometry.lower), np.array(geometry.upper)
+    if np.any(upper <= lower) or len(lower) != geometry.dimension:
+        raise ContractError("lower and upper must span a box of the geometry's dimension")
+    whole, none = geometry.volume_below(upper[1]), geometry.volume_below(lower[1])
+    if abs(whole / geometry.volume - 1) > 1e-9 or abs(none) > 1e-9 * geometry.volume:
+        raise ContractError(
+            f"volume_below(top) = {whole:.6g} and volume_below(bottom) = {none:.2g} must be the "
+            f"volume {geometry.volume:.6g} m^3 and 0"
+        )
+    spacing = float((upper - lower).max()) / (400 if geometry.dimension == 2 else 100)
+    grid = grid_over(geometry.lower, geometry.upper, spacing, geometry.depth)
+    wall = geometry.signed_distance(grid.corner_points())
+    edges = [np.take(wall, index, dim) for dim in range(wall.ndim) for index in (0, -1)]
+    if max(float(edge.max()) for edge in edges) > 0:
+        raise ContractError("the inside reaches beyond the box from lower to upper")
+    quadrature = float(cut_fraction(wall).sum() * grid.cell_volume)
+    if abs(quadrature / geometry.volume - 1) > 1e-3:
+        raise ContractError(
+            f"volume = {geometry.volume:.6g} m^3, but the signed distance encloses "
+            f"{quadrature:.6g} m^3"
+        )
+    points = grid.corner_points().reshape(-1, geometry.dimension)
+    inside = points[wall.ravel() >= 0]
+    radius = np.hypot(
+        inside[:, 0] - geometry.axis.point[0], inside[:, 1] - geometry.axis.point[1]
+    ).max()
+    if abs(radius - geometry.reach) > 2 * spacing:
+        raise ContractError(f"reach = {geometry.reach:g} m, but the inside reaches {radius:.4g} m")
+
+
+def check_mixing(backend: Any, scene: Any, concentration: Any, duration: float) -> None:
+    """Check a mixing backend on a scene, from concentrations (components, n): collective.
+
+    1 the stable step is positive and finite; 2 after `duration` (s) components sum to 1; 3 a
+    uniform concentration stays uniform to 1e-12.
+    """
+    flow = scene.flow
+    for start in (concentration, np.full_like(concentration, 1.0 / len(concentration))):
+        backend.start(scene, start)
+        step = backend.stable_time_step(flow.intervals[0])
+        if not 0 < step < np.inf:
+            raise ContractError(f"stable_time_step = {step}: must be positive and finite")
+        interval = flow.intervals[0]
+        for index, begin, end in flow.schedule(0.0, duration):
+            backend.advance(index, begin, end)
+            interval = flow.intervals[index]
+        result = backend.concentration(interval)
+        error = float(np.abs(result.sum(axis=0) - 1.0).max())
+        if error > _ROUND_OFF:
+            raise ContractError(f"the components sum to 1 +- {error:.2g}")
+    spread = float(np.abs(result - 1.0 / len(concentration)).max())
+    if spread > _ROUND_OFF:
+        raise ContractError(f"a uniform concentration changed by {spread:.2g}")

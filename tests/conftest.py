@@ -1,0 +1,66 @@
+"""Shared fixtures: a private store, MPI launches and small flows with known answers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+MPI_ENVIRONMENT = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_hwloc_base_binding_policy": "none",
+}
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory):
+    """A store of flows that all tests of a session share, apart from the user's own."""
+    folder = tmp_path_factory.mktemp("store")
+    os.environ["SCALEUP_CACHE"] = str(folder)
+    return folder
+
+
+@pytest.fixture
+def scaleup(store, tmp_path):
+    """Run the command line in an empty folder; returns the finished process."""
+
+    def run(*arguments: str, timeout: float = 300, cwd: Path = tmp_path):
+        return subprocess.run(
+            [sys.executable, "-m", "scaleup", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            cwd=cwd,
+            env={**os.environ, "SCALEUP_CACHE": str(store)},
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def on_ranks(tmp_path):
+    """Run a Python program on a number of ranks; returns what it printed."""
+
+    def run(ranks: int, program: str, *arguments: str) -> str:
+        script = tmp_path / "program.py"
+        script.write_text(program, encoding="utf-8")
+        done = subprocess.run(
+            ["mpiexec", "-n", str(ranks), sys.executable, "-m", "mpi4py", str(script), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            cwd=REPOSITORY / "tests",
+            env={**os.environ, **MPI_ENVIRONMENT, "PYTHONPATH": str(REPOSITORY / "tests")},
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return run

@@ -1,0 +1,91 @@
+import math
+
+import pytest
+
+from scaleup.config import compose, fill_in_all_kinds, fill_volume, grid_spacing
+from scaleup.errors import InputError
+
+FAST = {"flow": {"name": "surface-layer"}}
+
+
+def test_layers_compose_in_their_order(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text(
+        '[operation]\nspeed = "12 rpm"\nrevolutions = 5\n'
+        "fill = { mass = 0.05 }\n[diffusion]\nk1 = 0.1\n",
+        encoding="utf-8",
+    )
+    flags = {**FAST, "operation": {"revolutions": 2}}
+    config = compose(file, ["diffusion.k1=0.2", "operation.revolutions=4"], flags)
+    assert config.operation.speed == pytest.approx(12 * 2 * math.pi / 60)
+    assert config.operation.fill.mass == 0.05
+    assert config.operation.fill.depth_ratio is None  # one kind replaces the default kind
+    assert config.diffusion.k1 == 0.2
+    assert config.operation.revolutions == 2
+    assert config.geometry["name"] == "drum"  # the default
+    assert config.grid.spacing == pytest.approx(3e-4)  # the geometry's default scene
+
+
+def test_a_run_is_reproduced_by_its_own_file(tmp_path):
+    config = compose(
+        None,
+        ["operation.loading.pattern=region", "operation.loading.centre=['-20 mm', '-50 mm']",
+         "operation.loading.radius=5 mm", "geometry.diameter=0.2", "mixing.form=paper"],
+        FAST,
+    )  # fmt: skip
+    file = tmp_path / "config.toml"
+    file.write_text(config.to_toml(), encoding="utf-8")
+    again = compose(file)
+    assert again.to_toml() == config.to_toml()
+    assert again.operation == config.operation
+    assert again.options("geometry").diameter == 0.2
+
+
+def test_another_plugin_drops_the_options_of_the_first(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text('[flow]\nname = "mohr-coulomb"\ntime_limit = 5\n', encoding="utf-8")
+    config = compose(file, ["flow.closure=parabolic"], FAST)
+    assert config.flow == {"name": "surface-layer", "closure": "parabolic"}
+
+
+def test_fill_in_every_kind_is_the_same_bed():
+    base = compose(None, [], FAST)
+    kinds = fill_in_all_kinds(base)
+    assert kinds["depth_ratio"] == pytest.approx(0.35, abs=1e-12)
+    for kind, value in kinds.items():
+        config = compose(None, [f"operation.fill.{kind}={value!r}"], FAST)
+        assert fill_volume(config) == pytest.approx(fill_volume(base), rel=1e-9)
+
+
+def test_cells_choose_the_spacing():
+    config = compose(None, ["grid.cells=40000"], FAST)
+    area = fill_volume(config) / 0.01
+    assert area / grid_spacing(config) ** 2 == pytest.approx(40000)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "sentence"),
+    [
+        ("operation.sped=1", "operation.sped = 1: unknown key; known here: speed"),
+        ("material.friction_angle='100 deg'", "material.friction_angle = '100 deg'"),
+        ("operation.speed='6 mm'", "operation.speed = '6 mm': wrong unit mm"),
+        ("operation.fill.depth_ratio=1.2", "operation.fill.depth_ratio = 1.2"),
+        ("operation.fill.mass=5", "operation.fill.mass = 5 kg: the vessel holds 0.2309 kg"),
+        ("geometry.diameter='-1 mm'", "geometry.diameter = '-1 mm': input should be greater"),
+        ("geometry.colour=red", "geometry.colour = 'red': unknown key"),
+        ("mixing.form=upwind", "mixing.form = 'upwind'"),
+        ("flow.name=magic", "flow.name = 'magic': no such flow; installed are: mohr-coulomb"),
+        ("operation.loading=diagonal", "operation.loading.pattern = 'diagonal'"),
+        ("operation.loading.radius='1 mm'", "takes no centre and no radius"),
+        ("grid.spacing=banana", "grid.spacing = 'banana': not a quantity"),
+        ("k1=3", "--set 'k1=3': write it as section.key=value"),
+        ("material.bulk_density=3000", "must be below grain_density"),
+        ("flow=3", "flow = 3: must be a table"),
+    ],
+)
+def test_bad_input_is_one_sentence_naming_key_value_and_rule(assignment, sentence):
+    with pytest.raises(InputError) as caught:
+        compose(None, [assignment])
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 2
