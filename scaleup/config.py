@@ -67,6 +67,8 @@ class Output(Model):
     """revolutions between points of the blend curve"""
     snapshots_every: Annotated[float, Field(gt=0)] = 0.5
     """revolutions between stored concentration fields"""
+    checkpoint_every: units.Pause = 20.0
+    """s of wall-clock time between checkpoints, at points of the blend curve"""
 
 
 class RunConfig(Model):

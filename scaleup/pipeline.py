@@ -31,7 +31,6 @@ from scaleup.testing import check_flow
 log = logging.getLogger("scaleup")
 
 _HALO = 2  # ghost layers offered to mixing backends
-_SECONDS_BETWEEN_CHECKPOINTS = 20.0
 
 
 @dataclass
@@ -210,7 +209,7 @@ def mix(
                 f"revolution {revolution:.2f}, I = {blend.intensity[-1]:.3f}",
             )
             blend.seconds = time.monotonic() - began
-            due = time.monotonic() - last_kept > _SECONDS_BETWEEN_CHECKPOINTS
+            due = time.monotonic() - last_kept >= config.output.checkpoint_every
             if checkpoint is not None and root and (due or number == len(points) - 1):
                 last_kept = time.monotonic()
                 storage.write_checkpoint(

@@ -86,6 +86,8 @@ def compile_report(
             f"the RSD is {blend.rsd[-1]:.3g} after {blend.revolutions[-1]:g} revolutions, still "
             f"above {config.accuracy.blended_rsd:g}"
         )
+    if mixing["decay_rate_per_revolution"] is None:
+        mixing["decay_rate_per_revolution_reason"] = "fewer than four points of I below 0.8"
     ledger = blend.ledger
     return {
         "schema": SCHEMA,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from scaleup.api import (
@@ -44,10 +45,10 @@ class SurfaceLayer:
 
     def check(self, geometry: Geometry, operation: Operation) -> None:
         """The closed form is that of a circular cross-section."""
-        if geometry.dimension != 2 or not hasattr(geometry, "radius"):
+        if geometry.dimension != 2 or not _is_circle(geometry):
             raise InputError(
                 "flow.name = 'surface-layer': the closed form holds for a circular cross-section "
-                "(geometry 'drum') only"
+                "(such as geometry 'drum') only"
             )
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
@@ -57,3 +58,10 @@ class SurfaceLayer:
         field = drum_flow(scene, self.options)
         progress(1.0, "surface layer in closed form")
         return field
+
+
+def _is_circle(geometry: Geometry) -> bool:
+    """Whether the wall is everywhere at the vessel's reach from an axis through the origin."""
+    angle = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
+    ring = geometry.reach * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return bool(np.abs(geometry.signed_distance(ring)).max() < 1e-6 * geometry.reach)

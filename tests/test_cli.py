@@ -1,0 +1,210 @@
+"""The command line as a user meets it: whole runs, and bad input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+
+import meshio
+import numpy as np
+import pytest
+
+QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=1 mm", "--revolutions", "0.5")
+KEYS = {
+    "schema": None,
+    "model": {"dimension", "frame", "flow", "mixing", "reasons"},
+    "flow": {
+        "surface_angle_deg", "surface_speed_max", "active_layer_thickness", "solid_body_ratio",
+        "flux_midbed", "volume_drift",
+    },
+    "mixing": {"revolutions", "segregation_intensity", "lacey", "rsd", "blend_time_revolutions"},
+    "ledger": {"mass_drift", "minimum", "maximum", "clipped_mass"},
+    "error_estimate": {"segregation_intensity"},
+    "timing": {"flow_s", "mixing_s", "total_s", "ranks", "cell_updates_per_s"},
+    "machine": {"processor", "cores"},
+    "versions": {"scaleup", "numpy", "mpi4py", "petsc4py", "ngsolve", "h5py"},
+}  # fmt: skip
+
+
+def test_a_run_folder_is_complete_and_its_report_has_every_key(scaleup, tmp_path):
+    done = scaleup("simulate", *QUICK, "--output", "run")
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "run"
+    for name in ("config.toml", "results.h5", "results.xdmf", "report.json", "report.html",
+                 "checkpoint.h5", "run.log", "figures/snapshots.png", "figures/blend_curve.png",
+                 "figures/speed.png", "figures/velocity_profiles.png"):  # fmt: skip
+        assert (run / name).stat().st_size > 0, name
+    report = json.loads((run / "report.json").read_text())
+    for section, keys in KEYS.items():
+        assert section in report
+        if keys:
+            assert keys <= set(report[section]), section
+    missing = [
+        f"{section}.{key}"
+        for section, values in report.items()
+        if isinstance(values, dict)
+        for key, value in values.items()
+        if value is None and f"{key}_reason" not in values
+    ]
+    assert missing == []
+    mixing = report["mixing"]
+    assert mixing["segregation_intensity"][0] > 0.9
+    assert mixing["revolutions"][-1] == 0.5
+    assert report["operation"]["froude_number"] == pytest.approx(0.6283185**2 * 0.07 / 9.8)
+    assert len(report["mixing"]["centre_line"]) == 2
+    assert "<img" in (run / "report.html").read_text()
+
+    # the same flow, another diffusion constant: reused, and said
+    again = scaleup("simulate", *QUICK, "--set", "diffusion.k1=0.1", "--output", "again")
+    assert "flow: reused from the store" in again.stderr
+    other = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert other["flow"]["reused"] is True
+    assert other["timing"]["flow_s"] == 0.0
+    assert other["mixing"]["segregation_intensity"][-1] < mixing["segregation_intensity"][-1]
+
+    # its own configuration reproduces the run
+    repeat = scaleup("simulate", "run/config.toml", "--output", "repeat")
+    assert repeat.returncode == 0, repeat.stderr
+    same = json.loads((tmp_path / "repeat" / "report.json").read_text())
+    assert same["mixing"] == mixing
+
+
+def test_paraview_can_open_the_results(scaleup, tmp_path):
+    scaleup("simulate", *QUICK, "--output", "run")
+    tree = ET.parse(tmp_path / "run" / "results.xdmf")
+    grids = tree.findall(".//Grid[@GridType='Uniform']")
+    assert [float(g.find("Time").get("Value")) for g in grids] == [0.0, 5.0]
+    item = grids[-1].find("Attribute[@Name='concentration_1']/DataItem")
+    file, _, path = item.text.partition(":")
+    import h5py
+
+    with h5py.File(tmp_path / "run" / file, "r") as data:
+        field = np.asarray(data[path])
+        assert data[path].attrs["unit"] == "1"
+    assert "x".join(map(str, field.shape)) == "x".join(item.get("Dimensions").split())
+    assert 0.45 < np.nanmean(field) < 0.55
+    assert "xdmf" in meshio.extension_to_filetypes[".xdmf"]
+
+
+def test_an_existing_run_is_kept_unless_told(scaleup, tmp_path):
+    scaleup("simulate", *QUICK, "--output", "run")
+    before = (tmp_path / "run" / "report.json").read_bytes()
+    refused = scaleup("simulate", *QUICK, "--output", "run")
+    assert refused.returncode == 2
+    assert "--overwrite" in refused.stderr
+    assert (tmp_path / "run" / "report.json").read_bytes() == before
+    done = scaleup("simulate", *QUICK, "--output", "run", "--overwrite")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "report.json").read_bytes() != before
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("precious")
+    refused = scaleup("simulate", *QUICK, "--output", "mine", "--overwrite")
+    assert refused.returncode == 2
+    assert (tmp_path / "mine" / "thesis.txt").exists()
+
+
+def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
+    arguments = (
+        "--flow", "surface-layer", "--set", "grid.spacing=0.5 mm", "--revolutions", "3",
+        "--set", "accuracy.estimate=false", "--set", "output.checkpoint_every=0",
+    )  # fmt: skip
+    whole = scaleup("simulate", *arguments, "--output", "whole")
+    assert whole.returncode == 0, whole.stderr
+    environment = {**os.environ, "SCALEUP_CACHE": str(store)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "scaleup", "simulate", *arguments, "--output", "run"],
+        cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    checkpoint = tmp_path / "run.partial" / "checkpoint.h5"
+    deadline = time.monotonic() + 60
+    while not checkpoint.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert checkpoint.exists()
+    assert not (tmp_path / "run").exists()
+    refused = scaleup("simulate", *arguments, "--output", "run")
+    assert refused.returncode == 2
+    assert "scaleup resume run" in refused.stderr
+    done = scaleup("resume", "run")
+    assert done.returncode == 0, done.stderr
+    assert "resumed at revolution" in done.stderr
+    one = json.loads((tmp_path / "whole" / "report.json").read_text())["mixing"]
+    other = json.loads((tmp_path / "run" / "report.json").read_text())["mixing"]
+    assert other["segregation_intensity"] == pytest.approx(one["segregation_intensity"], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--set", "operation.sped=1"], "operation.sped = 1: unknown key"),
+        (["--geometry", "cement-mixer"], "geometry.name = 'cement-mixer': no such geometry"),
+        (["--mixing", "spoon"], "mixing.name = 'spoon': no such mixing; installed are: lax-wen"),
+        (["--set", "geometry.diameter=-1 mm"], "geometry.diameter = '-1 mm'"),
+        (["--set", "operation.fill.depth_ratio=1.2"], "operation.fill.depth_ratio = 1.2"),
+        (["--set", "operation.speed=6 mm"], "operation.speed = '6 mm': wrong unit"),
+        (["--ranks", "0"], "--ranks = 0: must be 1 or more"),
+        (["--ranks", "two"], "Invalid value for '--ranks': 'two' is not a valid integer"),
+        (["--revolutions", "many"], "--revolutions = 'many': must be a number"),
+        (["missing.toml"], "the configuration missing.toml cannot be read: No such file"),
+        (["broken.toml"], "the configuration broken.toml is not TOML"),
+        (["--colour", "red"], "No such option"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_sentence_and_writes_nothing(scaleup, tmp_path, arguments, sentence):
+    (tmp_path / "broken.toml").write_text("[geometry\n")
+    done = scaleup("simulate", *arguments, "--output", "run")
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert done.stderr.startswith("Error: ")
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout == ""
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.toml"]
+
+
+def test_plugins_are_listed_and_shown(scaleup):
+    listed = scaleup("plugins", "list")
+    for name in ("drum", "mohr-coulomb", "surface-layer", "lax-wendroff"):
+        assert name in listed.stdout
+    shown = scaleup("plugins", "show", "mohr-coulomb")
+    assert "flow.fine_size" in shown.stdout
+    assert "element size" in shown.stdout
+    unknown = scaleup("plugins", "show", "nothing")
+    assert unknown.returncode == 2
+    assert "installed are: drum" in unknown.stderr
+
+
+def test_doctor_finds_everything_and_two_ranks_greet(scaleup):
+    done = scaleup("doctor")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "FAIL" not in done.stdout
+    assert "2 rank(s) say hello; PETSc counts 2" in done.stdout
+
+
+def test_every_command_is_documented():
+    from pathlib import Path
+
+    import click
+
+    from scaleup.cli import cli
+
+    def walk(group, prefix):
+        for name, command in group.commands.items():
+            path = f"{prefix} {name}"
+            if isinstance(command, click.Group):
+                yield from walk(command, path)
+            else:
+                yield path, command
+
+    text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text()
+    for path, command in walk(cli, "scaleup"):
+        assert command.help, path
+        assert path in text, f"{path} is not in docs/commands.md"
+        for parameter in command.params:
+            for option in parameter.opts:
+                if option.startswith("--"):
+                    assert option in text, f"{option} of {path} is not in docs/commands.md"

@@ -1,0 +1,259 @@
+"""The Lax-Wendroff schemes on the exact drum flow and on whole-plane fields."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scaleup_lax_wendroff import LaxWendroff
+from scaleup_lax_wendroff.stability import amplification, stability_number
+from synthetic import sloshing
+
+from scaleup.api import Axis, FlowField, Grid, MixingScene, interval_from_dense
+from scaleup.config import compose, fill_volume
+from scaleup.decomposition import Decomposition
+from scaleup.diffusion_tensor import diffusion_tensor
+from scaleup.errors import RunError
+from scaleup.pipeline import mix, obtain_flow
+from scaleup.scene import Diffusion
+from scaleup.testing import check_flow, check_mixing
+
+FAST = {"flow": {"name": "surface-layer"}}
+
+
+def vortex(n: int) -> FlowField:
+    """psi = sin^2(pi x) sin^2(pi y)/(2 pi) in a unit square of powder: v varies everywhere."""
+    grid = Grid((-1.0 / n, -1.0 / n), (1.0 / n, 1.0 / n), (n + 2, n + 2))
+    points = grid.corner_points()
+    psi = (np.sin(np.pi * points) ** 2).prod(axis=-1) / (2 * np.pi)
+    inside = np.all((points > 1e-12) & (points < 1 - 1e-12), axis=-1)
+    psi = np.where(inside, psi, 0.0)
+    faces = [np.diff(psi, axis=0), -np.diff(psi, axis=1)]
+    fill = np.zeros(grid.shape)
+    fill[1:-1, 1:-1] = grid.cell_volume
+    none = np.zeros(grid.shape)
+    part = interval_from_dense(0.0, 1.0, grid, fill, fill, faces, none, np.stack([none, none]))
+    return FlowField(grid, "lab", Axis(), 0.0, [part])
+
+
+def scene_of(flow: FlowField, k1: float = 0.0, grain: float = 1e-3) -> MixingScene:
+    active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
+    split = Decomposition(flow.grid, active, MPI.COMM_SELF, halo=2)
+    law = Diffusion(k1=k1)
+    tensor = partial(_tensor, flow, law, grain)
+    return MixingScene(flow, law, grain, split, tensor)
+
+
+def _tensor(flow, law, grain, interval):
+    return diffusion_tensor(flow, interval, law, grain)
+
+
+def bump(flow: FlowField) -> np.ndarray:
+    points = flow.grid.centre_points(flow.intervals[0].cells)
+    c = np.exp(-((points - [0.5, 0.3]) ** 2).sum(axis=1) / (2 * 0.1**2))
+    return np.stack([c, 1 - c])
+
+
+def turned(form: str, n: int, time: float, courant: float = 0.9) -> tuple[FlowField, np.ndarray]:
+    """The bump after `time` in the vortex."""
+    flow = vortex(n)
+    backend = LaxWendroff(LaxWendroff.Options(form=form, courant=courant))
+    backend.start(scene_of(flow), bump(flow))
+    backend.advance(0, 0.0, time)
+    return flow, backend.concentration(flow.intervals[0])[0]
+
+
+def exact(flow: FlowField, time: float) -> np.ndarray:
+    """The bump carried along characteristics, by 200 Runge-Kutta steps back in time."""
+
+    def velocity(p):
+        x, y = np.pi * p[:, 0], np.pi * p[:, 1]
+        return np.stack(
+            [np.sin(x) ** 2 * np.sin(2 * y) / 2, -np.sin(2 * x) * np.sin(y) ** 2 / 2], axis=1
+        )
+
+    p, h = flow.grid.centre_points(flow.intervals[0].cells), -time / 200
+    for _ in range(200):
+        k1 = velocity(p)
+        k2 = velocity(p + h / 2 * k1)
+        k3 = velocity(p + h / 2 * k2)
+        p = p + h / 6 * (k1 + 2 * k2 + 2 * k3 + velocity(p + h * k3))
+    return np.exp(-((p - [0.5, 0.3]) ** 2).sum(axis=1) / (2 * 0.1**2))
+
+
+def order(form: str, sizes: tuple[int, ...]) -> tuple[float, float]:
+    errors = []
+    for n in sizes:
+        flow, c = turned(form, n, 1.0)
+        errors.append(np.abs(c - exact(flow, 1.0)).sum() / np.abs(exact(flow, 1.0)).sum())
+    return -np.polyfit(np.log(sizes), np.log(errors), 1)[0], errors[-1]
+
+
+def test_corrected_form_is_second_order_in_space_and_time_where_velocity_varies():
+    fitted, finest = order("corrected", (32, 64, 128))
+    assert fitted > 1.85
+    assert finest < 0.02
+
+
+def test_paper_form_is_first_order_in_time_and_loses_mass():
+    # steps halve with the cells, so an error of first order in time shows as order one
+    fitted, _ = order("paper", (64, 128, 256))
+    assert 0.7 < fitted < 1.4
+    flow, c = turned("paper", 64, 2.0)
+    mass = c @ flow.intervals[0].fill_start / (bump(flow)[0] @ flow.intervals[0].fill_start)
+    flow, c = turned("corrected", 64, 2.0)
+    kept = c @ flow.intervals[0].fill_start / (bump(flow)[0] @ flow.intervals[0].fill_start)
+    assert abs(kept - 1) < 1e-12
+    assert abs(mass - 1) > 1e-3
+
+
+def test_paper_form_of_solid_rotation_loses_mass_as_its_missing_term_says():
+    """Inside the vortex' core v = (-w y, w x): mass decays as exp(-w^2 dt T)."""
+    n, time, omega = 128, 0.4, np.pi  # psi ~ (1 - pi^2 r^2)/(2 pi): w = pi at the centre
+    flow = vortex(n)
+    points = flow.grid.centre_points(flow.intervals[0].cells)
+    c = np.exp(-((points - 0.5) ** 2).sum(axis=1) / (2 * 0.03**2))
+    backend = LaxWendroff(LaxWendroff.Options(form="paper", courant=0.9))
+    backend.start(scene_of(flow), np.stack([c, 1 - c]))
+    ledger = backend.advance(0, 0.0, time)
+    dt = time / ledger.steps
+    mass = backend.concentration(flow.intervals[0])[0].sum() / c.sum()
+    assert np.log(mass) == pytest.approx(-(omega**2) * dt * time, rel=0.1)
+
+
+def test_the_sufficient_condition_has_no_false_stable():
+    rng = np.random.default_rng(3)
+    n = 20_000
+    angle = rng.uniform(0, 2 * np.pi, n)
+    nu = rng.uniform(0, 1.2, n) * np.stack([np.cos(angle), np.sin(angle)])
+    across = rng.uniform(0, 2 * np.pi, n)
+    big, small = rng.uniform(0, 0.5, n), rng.uniform(0, 1, n)
+    t = np.stack([np.cos(across), np.sin(across)])
+    mu = big * (small * np.eye(2)[:, :, None] + (1 - small) * t[:, None] * t[None, :])
+    number = stability_number(nu, mu)
+    scale = rng.uniform(0.9, 1.0, n) / np.maximum(number, 1e-12)
+    limited = np.minimum(1.0, scale)  # nu^2 and mu both scaled down to the limit
+    nu, mu = nu * np.sqrt(limited), mu * limited
+    assert stability_number(nu, mu).max() <= 1 + 1e-9
+    waves = np.linspace(-np.pi, np.pi, 61)
+    worst = max(
+        float(amplification(nu, mu, np.array([tx, ty])[:, None]).max())
+        for tx in waves
+        for ty in waves
+    )
+    assert worst <= 1 + 1e-9
+
+
+def test_beyond_the_exact_limit_the_scheme_grows_and_the_run_says_so():
+    flow = vortex(32)
+    c = np.random.default_rng(0).random(len(flow.intervals[0].cells))
+    for factor, grows in ((0.98, False), (2.0, True)):
+        backend = LaxWendroff(LaxWendroff.Options())
+        backend.start(scene_of(flow), np.stack([c, 1 - c]))
+        step = backend.stable_time_step(flow.intervals[0])
+        bed = backend._running._bed
+        weights = bed.weights(factor * step)
+        transport = backend._running
+        ledger = backend.advance(0, 0.0, step)
+        for _ in range(400):
+            transport._step(0, weights, ledger)
+        if grows:
+            with pytest.raises(RunError, match=r"grew to .* reduce mixing\.courant"):
+                transport._look(ledger, 1.0, step)
+        else:
+            transport._look(ledger, 1.0, step)
+            assert ledger.maximum < 2.0
+
+
+def test_diffusion_spreads_a_gaussian_as_the_exact_solution():
+    """No flow, uniform anisotropic tensor with D_xy: variances grow by 2 D t."""
+    flow = vortex(64)
+    part = flow.intervals[0]
+    tensor = np.array([[2.0, 0.7], [0.7, 1.0]])[:, :, None] * 1e-3 * np.ones(len(part.cells))
+    part = type(part)(
+        0.0, 1.0, part.cells, part.fill_start, part.fill_end, 0 * part.flux,
+        part.shear_rate, part.direction,
+    )  # fmt: skip
+    still = FlowField(flow.grid, "lab", flow.axis, 0.0, [part])
+    scene = scene_of(still)
+    scene = MixingScene(still, scene.diffusion, 1e-3, scene.decomposition, lambda _: tensor)
+    p = flow.grid.centre_points(part.cells) - 0.5
+    c = np.exp(-(p**2).sum(axis=1) / (2 * 0.08**2))
+    backend = LaxWendroff(LaxWendroff.Options())
+    backend.start(scene, np.stack([c, 1 - c]))
+    backend.advance(0, 0.0, 2.0)
+    after = backend.concentration(part)[0]
+    for i, j, expected in ((0, 0, 2.0), (1, 1, 1.0), (0, 1, 0.7)):
+        grown = np.average(p[:, i] * p[:, j], weights=after) - np.average(
+            p[:, i] * p[:, j], weights=c
+        )
+        assert grown == pytest.approx(2 * expected * 1e-3 * 2.0, rel=0.01)
+
+
+@pytest.mark.parametrize("form", ["corrected", "paper"])
+def test_contract_on_a_moving_fill_and_with_several_components(form):
+    flow = sloshing(columns=24, rows=12)
+    rng = np.random.default_rng(1)
+    c = rng.random((3, len(flow.intervals[0].cells)))
+    scene = scene_of(flow, k1=0.04)
+    check_mixing(LaxWendroff(LaxWendroff.Options(form=form)), scene, c / c.sum(axis=0), 1.6)
+
+
+@pytest.mark.parametrize("closure", ["shear-rate", "parabolic"])
+def test_the_surface_layer_flow_keeps_its_contract(store, closure):
+    config = compose(None, ["grid.spacing='1 mm'", f"flow.closure={closure}"], FAST)
+    flow = obtain_flow(config, MPI.COMM_SELF).flow
+    check_flow(flow, config.plugin("geometry"), fill_volume(config))
+    assert flow.lift == pytest.approx(np.radians(23.6))
+
+
+def test_the_parabolic_layer_is_the_published_velocity_field(store):
+    """In the layer v_s = 2u(1 - depth/delta) - w(b + depth) (Khakhar et al. 1997), order >= 1.8."""
+    errors, spacings = [], (2e-3, 1e-3, 5e-4)
+    for spacing in spacings:
+        config = compose(
+            None,
+            [f"grid.spacing={spacing}", "flow.closure=parabolic", "flow.thickness=0.012"],
+            FAST,
+        )
+        flow = obtain_flow(config, MPI.COMM_SELF).flow
+        part, omega, b, angle = flow.intervals[0], flow.angular_velocity, 0.3 * 0.07, flow.lift
+        p = flow.grid.centre_points(part.cells)
+        down, out = np.array([-np.cos(angle), -np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
+        s, depth = p @ down, -(p @ out) - b
+        chord = 0.07**2 - b**2
+        delta = 0.012 * (1 - s**2 / chord)
+        u = omega * chord / (2 * 0.012)
+        layer = (depth > 2e-3) & (depth < delta - 2e-3) & (np.abs(s) < 0.04)
+        streamwise = 2 * u * (1 - depth / delta) - omega * (b + depth)
+        error = (part.velocity(flow.grid).T @ down - streamwise)[layer]
+        errors.append(np.abs(error).max())
+        rigid = (depth > delta + 2e-3) & (part.fill_start > 0.999 * flow.grid.cell_volume)
+        turning = np.stack([-omega * p[:, 1], omega * p[:, 0]])
+        assert part.velocity(flow.grid)[:, rigid] == pytest.approx(turning[:, rigid], abs=1e-12)
+    assert np.polyfit(np.log(spacings), np.log(errors), 1)[0] > 1.8
+
+
+def test_blending_the_drum_converges_and_conserves(store):
+    curves = {}
+    for spacing in ("2 mm", "1 mm", "0.5 mm"):
+        config = compose(None, [f"grid.spacing='{spacing}'", "operation.revolutions=1"], FAST)
+        blend = mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
+        assert blend.mass_drift < 3e-3
+        curves[spacing] = np.array(blend.intensity)
+    coarse, middle, fine = curves.values()
+    assert np.abs(middle - fine).max() < 0.6 * np.abs(coarse - fine).max()
+    assert curves["0.5 mm"][0] > 0.99
+    assert fine[-1] < 0.6
+
+
+def test_mass_is_kept_to_what_implicitly_stepped_cut_cells_hold(store):
+    """Five times as long does not lose five times as much."""
+    drift = []
+    for revolutions in (1, 5):
+        config = compose(
+            None, ["grid.spacing='1 mm'", f"operation.revolutions={revolutions}"], FAST
+        )
+        flow = obtain_flow(config, MPI.COMM_SELF).flow
+        drift.append(mix(config, flow, MPI.COMM_SELF).mass_drift)
+    assert drift[1] < 1.5 * drift[0]

@@ -1,0 +1,178 @@
+"""The finite-element flow: its parts against closed forms, and a coarse drum end to end."""
+
+import math
+
+import ngsolve as ngs
+import numpy as np
+import pytest
+from mpi4py import MPI
+from netgen.occ import Circle, Pnt
+from scaleup_mohr_coulomb.level_set import LevelSet, Transport
+from scaleup_mohr_coulomb.mesh import cross_section_mesh
+from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
+from scaleup_mohr_coulomb.rheology import Strength, effective_viscosity
+from scaleup_mohr_coulomb.steady import SwingAverage, avalanche_end, upward_crossings
+from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
+
+from scaleup.config import compose, fill_volume
+from scaleup.errors import RunError
+from scaleup.pipeline import obtain_flow
+from scaleup.scene import Material
+from scaleup.testing import check_flow
+
+RADIUS, OMEGA = 0.07, 0.2 * math.pi
+AREA = RADIUS**2 * (math.acos(0.3) - 0.3 * math.sqrt(1 - 0.09))  # fill depth 0.35 D
+COARSE = ["flow.fine_size='6 mm'", "flow.time_step='8 ms'", "grid.spacing='1 mm'"]
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return cross_section_mesh(
+        Circle(Pnt(0, 0), RADIUS).Face(), 0.012, 0.005, AREA, math.radians(20), 0.014
+    )
+
+
+def coarse_flow(mesh, **changes) -> TwoPhaseFlow:
+    material = Material(**changes)
+    drive = Drive(AREA, OMEGA)
+    numerics = Discretisation.by_rule(material, drive, RADIUS, fine_size=0.005, time_step=0.006)
+    return TwoPhaseFlow(mesh, material, drive, numerics)
+
+
+def test_a_plane_bed_has_its_area_angle_and_distance(mesh):
+    level_set = LevelSet(mesh, 0.005)
+    level_set.set_plane(AREA, math.radians(20))
+    assert level_set.area() == pytest.approx(AREA, rel=1e-9)
+    angle, centre = level_set.surface_fit(0.03)
+    assert math.degrees(angle) == pytest.approx(20.0, abs=1e-6)
+    assert np.linalg.norm(centre) == pytest.approx(0.3 * RADIUS, rel=2e-3)
+    before = level_set.field.vec.FV().NumPy().copy()
+    level_set.field.vec.data *= 3.0  # no longer a distance
+    level_set.redistance()
+    assert np.abs(level_set.field.vec.FV().NumPy() - before).max() < 1e-9
+    assert level_set.length() == pytest.approx(2 * RADIUS * math.sqrt(1 - 0.09), rel=2e-3)
+
+
+def test_level_set_turns_with_a_rigid_rotation(mesh):
+    level_set = LevelSet(mesh, 0.005)
+    level_set.set_plane(AREA, 0.0)
+    rotation = ngs.CoefficientFunction((-OMEGA * ngs.y, OMEGA * ngs.x))
+    transport = Transport(level_set, rotation, 0.01)
+    for _ in range(50):
+        transport.step()
+    angle, _ = level_set.surface_fit(0.03)
+    assert angle == pytest.approx(OMEGA * 0.5, abs=math.radians(0.02))
+    assert level_set.area() == pytest.approx(AREA, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("material", "pressure", "stress"),
+    [
+        (Material(), 100.0, 100 * math.tan(math.radians(23.6))),
+        (Material(friction_measured="mohr-coulomb"), 100.0, 100 * math.sin(math.radians(23.6))),
+        (Material(cohesion=10.0), 100.0, 100 * math.tan(math.radians(23.6)) + 10 * 0.916363),
+        (Material(cohesion=10.0), -50.0, 10 * 0.916363),
+    ],
+)
+def test_strength_and_viscosity(mesh, material, pressure, stress):
+    strength = Strength.of(material)(2.0, ngs.CoefficientFunction(pressure))
+    point = mesh(0.0, 0.0)
+    assert ngs.CoefficientFunction(strength)(point) == pytest.approx(stress, rel=1e-5)
+    viscosity = effective_viscosity(strength, 2.0, 0.01)
+    assert ngs.CoefficientFunction(viscosity)(point) == pytest.approx(stress / 2.0, rel=1e-4)
+
+
+def test_a_bed_below_its_friction_angle_turns_with_the_drum(mesh):
+    flow = coarse_flow(mesh, wall_friction=1.0)
+    for _ in range(10):
+        flow.step()
+    start = 0.75 * math.radians(23.6)
+    angle, _ = flow.level_set.surface_fit(0.03)
+    assert angle - start == pytest.approx(OMEGA * 10 * 0.006, abs=math.radians(0.1))
+    rigid = ngs.CoefficientFunction((-OMEGA * ngs.y, OMEGA * ngs.x))
+    bed = ngs.IfPos(flow.level_set.field - 0.005, 1.0, 0.0)
+    difference = flow.velocity - rigid
+    error = ngs.Integrate(bed * ngs.InnerProduct(difference, difference), mesh)
+    assert (
+        math.sqrt(error / ngs.Integrate(bed * ngs.InnerProduct(rigid, rigid), mesh)) < 0.05
+    )  # creep, 2 % of omega by rule, and start-up
+
+
+def test_a_restored_flow_goes_on_as_if_never_stopped(mesh):
+    flow = coarse_flow(mesh)
+    for _ in range(6):
+        flow.step()
+    state = flow.state()
+    for _ in range(4):
+        flow.step()
+    other = coarse_flow(mesh)
+    other.restore(state)
+    for _ in range(4):
+        other.step()
+    for name, values in flow.state().items():
+        assert values == pytest.approx(other.state()[name], rel=1e-7, abs=1e-9), name
+
+
+def test_too_long_a_step_is_said_and_not_computed(mesh):
+    material, drive = Material(), Drive(AREA, 100 * OMEGA)
+    numerics = Discretisation.by_rule(material, drive, RADIUS, fine_size=0.005, time_step=0.2)
+    flow = TwoPhaseFlow(mesh, material, drive, numerics)
+
+    def run():
+        for _ in range(60):
+            flow.step()
+
+    with pytest.raises(FlowDiverged, match="halve the time step"):
+        run()
+
+
+def test_swings_are_counted_on_a_known_history():
+    """A rise, an avalanche and swings of 0.75 s about 25 deg."""
+    t = np.arange(0, 6, 0.005)
+    angle = np.where(
+        t < 1.0, 10 + 20 * t, 25 + 5 * np.exp(-0.3 * (t - 1)) * np.cos(2 * np.pi * (t - 1) / 0.75)
+    )
+    start = avalanche_end(t, np.radians(angle), 0.5)
+    assert t[start] == pytest.approx(1.375, abs=0.03)
+    crossings = upward_crossings(np.radians(angle), start, math.radians(0.025))
+    assert np.diff(t[crossings]) == pytest.approx(0.75, abs=0.03)
+
+
+def test_a_coarse_drum_end_to_end(store):
+    """The contract, the flux that rigid rotation demands, and reuse on another grid."""
+    asked = [*COARSE, "flow.angle_tolerance='1 deg'"]
+    outcome = obtain_flow(compose(None, asked), MPI.COMM_SELF)
+    config, flow = compose(None, asked), outcome.flow
+    check_flow(flow, config.plugin("geometry"), fill_volume(config))
+    figures = flow.summary
+    assert 20.0 < figures["surface_angle_deg"] < 31.0
+    assert figures["flux_midbed"] == pytest.approx(figures["rigid_upflow_midbed"], rel=0.2)
+    assert figures["flux_midbed"] == pytest.approx(figures["upflow_midbed"], rel=0.1)
+    assert figures["projection_change"] < 0.05
+    # the FlowField carries what the raw field carries: its stream function's peak is the downflow
+    across = flow.intervals[0].face_fluxes(flow.grid)[0]
+    psi = np.cumsum(across, axis=0) / flow.grid.depth
+    assert np.abs(psi).max() == pytest.approx(figures["flux_midbed"], rel=0.05)
+    finer = obtain_flow(compose(None, [*asked, "grid.spacing='0.7 mm'"]), MPI.COMM_SELF)
+    assert not finer.reused
+    assert finer.seconds < 0.5 * outcome.seconds
+    assert finer.flow.summary["surface_angle_deg"] == figures["surface_angle_deg"]
+
+
+def test_no_steady_bed_in_the_time_given_is_an_error(store):
+    config = compose(None, [*COARSE, "flow.time_limit=0.8"])
+    with pytest.raises(RunError, match="raise the time limit"):
+        obtain_flow(config, MPI.COMM_SELF)
+
+
+def test_a_killed_solve_goes_on_from_its_checkpoint(mesh):
+    """The average restored beside the flow gives the mean of an unbroken run."""
+    flow = coarse_flow(mesh)
+    average = SwingAverage(flow)
+    for _ in range(40):
+        flow.step()
+        average.record(flow)
+    other = SwingAverage(flow)
+    other.restore(average.state())
+    assert other.times == average.times
+    assert other.window(SteadyOptions()) == average.window(SteadyOptions())
