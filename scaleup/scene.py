@@ -87,6 +87,7 @@ class Loading(Model):
     """How the components lie in the settled level bed before the vessel turns."""
 
     pattern: Literal["side-by-side", "top-bottom", "region"] = "side-by-side"
+    """layers side by side or on top of each other, or a disc or ball in the rest"""
     shares: tuple[Share, ...] = (0.5, 0.5)
     """volume shares of the components, from left to right or from top to bottom"""
     centre: tuple[units.Coordinate, ...] | None = None
@@ -118,6 +119,7 @@ class Operation(Model):
     fill: Fill = Fill(depth_ratio=0.35)
     loading: Loading = Loading()
     revolutions: Annotated[float, Field(gt=0, le=10000)] = 3.0
+    """how long to blend"""
     start: Literal["level-bed", "steady"] = "level-bed"
     """revolution 0: the settled level bed (lifted rigidly until it flows), or the steady flow"""
 
@@ -142,5 +144,8 @@ class Diffusion(Model):
     """
 
     model: Literal["objective", "paper"] = "objective"
+    """frame-independent tensor with D_xy, or Eq. 6 of the paper (2-D, lab frame)"""
     k1: Annotated[float, Field(ge=0, le=10)] = 0.04
+    """diffusion across the flow over shear rate times grain diameter squared"""
     k2_ratio: Annotated[float, Field(ge=0, le=100)] = 1.9
+    """diffusion along the flow over that across it"""

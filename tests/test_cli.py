@@ -208,3 +208,12 @@ def test_every_command_is_documented():
             for option in parameter.opts:
                 if option.startswith("--"):
                     assert option in text, f"{option} of {path} is not in docs/commands.md"
+
+
+def test_the_configuration_page_is_current(monkeypatch):
+    from pathlib import Path
+
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
+    import configuration_page
+
+    assert configuration_page.PAGE.read_text() == configuration_page.page()

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from synthetic import donor_cell, sloshing
 
 from scaleup.errors import ContractError
 from scaleup.storage import read_flow, write_flow
 from scaleup.testing import check_flow
+from synthetic import donor_cell, sloshing
 
 
 def test_a_moving_fill_passes_and_keeps_its_volume():

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from synthetic import sloshing
 
 from scaleup.config import compose, fill_volume
 from scaleup.diffusion_tensor import diffusion_tensor
@@ -15,6 +14,7 @@ from scaleup.loading import initial_concentration
 from scaleup.metrics import Sampler, blend_time, decay_rate
 from scaleup.scene import Diffusion, Loading, Material
 from scaleup.testing import check_geometry
+from synthetic import sloshing
 
 
 def box_of_powder(u, v, cells=40, size=0.04) -> tuple[FlowField, Interval]:

@@ -5,9 +5,6 @@ from functools import partial
 import numpy as np
 import pytest
 from mpi4py import MPI
-from scaleup_lax_wendroff import LaxWendroff
-from scaleup_lax_wendroff.stability import amplification, stability_number
-from synthetic import sloshing
 
 from scaleup.api import Axis, FlowField, Grid, MixingScene, interval_from_dense
 from scaleup.config import compose, fill_volume
@@ -17,6 +14,9 @@ from scaleup.errors import RunError
 from scaleup.pipeline import mix, obtain_flow
 from scaleup.scene import Diffusion
 from scaleup.testing import check_flow, check_mixing
+from scaleup_lax_wendroff import LaxWendroff
+from scaleup_lax_wendroff.stability import amplification, stability_number
+from synthetic import sloshing
 
 FAST = {"flow": {"name": "surface-layer"}}
 

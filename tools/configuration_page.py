@@ -1,0 +1,60 @@
+"""Writes docs/configuration.md from the configuration's own models; a test keeps it current."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from scaleup import registry
+from scaleup.config import PLUGIN_SECTIONS, RunConfig
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "configuration.md"
+HEAD = """# Configuration
+
+Every table and key of a run (this page is written by `tools/configuration_page.py`). Quantities
+carry units (`"140 mm"`, `"6 rpm"`, `"23.6 deg"`); bare numbers are SI, and defaults below are SI.
+A misspelt key is an error. The kinds of `operation.fill` and of `grid` exclude each other: setting
+one replaces the other. A geometry's default scene comes before the defaults here.
+"""
+
+
+def _rows(model: type[BaseModel], prefix: str) -> list[str]:
+    rows = []
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            rows += _rows(field.annotation, f"{prefix}{name}.")
+            continue
+        default = field.get_default(call_default_factory=True)
+        shown = "" if field.is_required() or default is None else f"`{_shown(default)}`"
+        text = " ".join((field.description or "").split())
+        rows.append(f"| `{prefix}{name}` | {shown} | {text} |")
+    return rows
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [HEAD]
+    for name, field in RunConfig.model_fields.items():
+        if name in PLUGIN_SECTIONS:
+            for plugin in registry.available(name):
+                options = registry.load(name, plugin).Options
+                parts.append(f'## [{name}] with name = "{plugin}"\n')
+                parts.append("| key | default | meaning |\n|---|---|---|")
+                parts.append("\n".join(_rows(options, f"{name}.")) + "\n")
+            continue
+        model = field.annotation
+        assert isinstance(model, type)
+        parts.append(f"## [{name}]\n\n{' '.join((model.__doc__ or '').split())}\n")
+        parts.append("| key | default | meaning |\n|---|---|---|")
+        parts.append("\n".join(_rows(model, f"{name}.")) + "\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
