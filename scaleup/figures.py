@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.ndimage import map_coordinates
 
 from scaleup.flow_field import FlowField
 from scaleup.grid import FloatArray, Grid
@@ -63,28 +64,25 @@ def velocity_profiles(path: Path, flow: FlowField, angle: float) -> None:
     grid, interval = flow.grid, flow.intervals[len(flow.intervals) - 1]
     velocity = np.full((2, grid.cells), np.nan)
     velocity[:, interval.cells] = interval.velocity(grid)
-    fill = np.zeros(grid.cells)
-    fill[interval.cells] = interval.fill_start / grid.cell_volume
-    velocity[:, fill < 0.5] = np.nan
     down = -np.array([math.cos(angle), math.sin(angle)])
     normal = np.array([-math.sin(angle), math.cos(angle)])
     reach = float(np.abs(np.array(grid.lower)).max())
-    along_normal = np.arange(reach, -reach, -0.5 * grid.spacing[0])
-    centre = _along(grid, velocity, along_normal[:, None] * normal) @ down
+    height = np.arange(reach, -reach, -0.25 * grid.spacing[0])
+    centre = _interpolated(grid, velocity, height[:, None] * normal) @ down
     in_bed = np.isfinite(centre)
-    surface = float(along_normal[in_bed][0])
+    surface = float(height[in_bed][0])
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    # at every s the outermost point of the bed within a band about the mean surface
     s = np.arange(-reach, reach, grid.spacing[0])
-    # the outermost full cell below the surface at every s
-    depths = np.arange(-0.15, 0.3, 0.004) * reach
     best = np.full(len(s), np.nan)
-    for depth in depths[::-1]:
-        speed = _along(grid, velocity, s[:, None] * down + (surface - depth) * normal) @ down
+    for offset in np.arange(-0.3, 0.15, 0.001) * reach:
+        points = s[:, None] * down + (surface + offset) * normal
+        speed = _interpolated(grid, velocity, points) @ down
         best = np.where(np.isfinite(speed), speed, best)
     left.plot(s * _MM, best)
     left.set(xlabel="distance down the surface from mid-bed, mm", ylabel="surface speed, m/s")
-    right.plot(centre[in_bed], (surface - along_normal[in_bed]) * _MM)
+    right.plot(centre[in_bed], (surface - height[in_bed]) * _MM)
     right.axvline(0, color="0.7", lw=0.8)
     right.invert_yaxis()
     right.set(xlabel="streamwise velocity at mid-bed, m/s", ylabel="depth, mm")
@@ -125,19 +123,26 @@ def centre_profiles(path: Path, profiles: Mapping[str, Sequence[Sequence[float]]
     axis.set(
         xlabel="depth below the surface / bed depth",
         ylabel="concentration of component 1",
-        ylim=(-0.05, 1.05),
+        ylim=(-0.1, 1.15),
     )
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     _save(figure, path)
 
 
-def _along(grid: Grid, velocity: FloatArray, points: FloatArray) -> FloatArray:
-    """Velocity of the cells that hold the points, (n, 2); NaN outside the bed."""
-    index = np.floor((points - np.array(grid.lower)) / np.array(grid.spacing)).astype(int)
-    inside = np.all((index >= 0) & (index < np.array(grid.counts)), axis=1)
-    flat = np.where(inside, index[:, 1] * grid.counts[0] + index[:, 0], 0)
-    return np.where(inside[:, None], velocity[:, flat].T, np.nan)
+def _interpolated(grid: Grid, values: FloatArray, points: FloatArray) -> FloatArray:
+    """Components (m, cells) at points (n, 2), bilinear between cell centres: (n, m).
+
+    NaN where one of the four cells around a point holds no material.
+    """
+    position = (points - np.array(grid.lower)) / np.array(grid.spacing) - 0.5
+    return np.stack(
+        [
+            map_coordinates(v.reshape(grid.shape), position.T[::-1], order=1, cval=np.nan)
+            for v in values
+        ],
+        axis=-1,
+    )
 
 
 def _map(axis: Axes, grid: Grid, values: FloatArray, **style: Any) -> Any:

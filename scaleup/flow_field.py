@@ -7,7 +7,7 @@ that crosses each face per second, so that on every interval
     0 <= fill <= vessel volume of the cell,   no flux through vessel walls or the free surface.
 
 Schemes that use fills and fluxes are conservative and bounded by construction; nodal schemes take
-velocity = flux / (face area * fill fraction).
+`Interval.velocity`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ import numpy as np
 from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 
 Frame = Literal["lab", "vessel"]
+
+_FULL = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -87,20 +89,35 @@ class Interval:
         return total.reshape(-1)[self.cells]
 
     def velocity(self, grid: Grid) -> FloatArray:
-        """Mean velocity of the material in each active cell, m/s, shape (dimension, n).
+        """Velocity of the material in each active cell, m/s, shape (dimension, n).
 
-        The mean of the two face fluxes over area times mean fill fraction; exact to second order
-        in full cells, first order in cut ones, 0 in cells that only pass material.
+        In full cells the mean of the two face fluxes over the face area, second order. The fill of
+        a cut cell does not tell how much of its faces is wet, so that flux over area times fill can
+        be off by any factor: cut cells take the mean of the cells around them that have a velocity,
+        layer by layer from the full cells outwards (first order); zero where there is no full cell.
         """
-        fraction = 0.5 * (self.fill_start + self.fill_end) / grid.cell_volume
-        velocity = np.zeros_like(self.flux)
+        fill = np.zeros(grid.cells)
+        fill[self.cells] = 0.5 * (self.fill_start + self.fill_end)
+        known = np.pad(fill.reshape(grid.shape) >= _FULL * grid.cell_volume, 1)
+        active = np.zeros(grid.cells, dtype=bool)
+        active[self.cells] = True
+        wanted = np.pad(active.reshape(grid.shape), 1)
+        dense = []
         for axis, faces in enumerate(self.face_fluxes(grid)):
             along = grid.array_axis(axis)
             count = grid.shape[along]
             both = np.take(faces, range(count), along) + np.take(faces, range(1, count + 1), along)
-            mean = 0.5 * both.reshape(-1)[self.cells] / grid.face_area(axis)
-            velocity[axis] = np.divide(mean, fraction, out=np.zeros_like(mean), where=fraction > 0)
-        return velocity
+            dense.append(np.pad(0.5 * both / grid.face_area(axis), 1) * known)
+        while known.any():
+            beside = _sum_around(known.astype(float))
+            new = wanted & ~known & (beside > 0)
+            if not new.any():
+                break
+            for component in dense:
+                component[new] = _sum_around(component)[new] / beside[new]
+            known |= new
+        inner = (slice(1, -1),) * grid.dimension
+        return np.stack([component[inner].reshape(-1)[self.cells] for component in dense])
 
 
 @dataclass(frozen=True)
@@ -241,6 +258,14 @@ def interval_from_dense(
         shear_rate=shear_rate[position],
         direction=np.stack([component[position] for component in direction]),
     )
+
+
+def _sum_around(values: FloatArray) -> FloatArray:
+    """Sum over a cell and all cells that touch it, on an array with an empty rim."""
+    total = values
+    for dim in range(values.ndim):
+        total = total + np.roll(total, 1, dim) + np.roll(total, -1, dim)
+    return total
 
 
 def _coarsened(part: Interval, grid: Grid, factor: int) -> Interval:

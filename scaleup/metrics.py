@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from scaleup.flow_field import Interval
 from scaleup.grid import FloatArray, Grid, IntArray
@@ -108,6 +109,8 @@ def centre_line(
 ) -> tuple[FloatArray, FloatArray]:
     """Concentration along the line through the axis normal to a plane surface in the lab frame.
 
+    Bilinear between cell centres.
+
     concentration -- (n,) on the active cells; angle -- rad, of the surface
     Returns (depth below the surface over the bed's depth, concentration); the paper's Fig. 15.
     """
@@ -115,12 +118,9 @@ def centre_line(
     dense[interval.cells] = concentration
     normal = np.array([-math.sin(angle), math.cos(angle)])
     reach = np.abs(np.array(grid.lower)).max()
-    distance = np.arange(-reach, reach, 0.5 * min(grid.spacing))
-    points = distance[:, None] * normal
-    index = np.floor((points - np.array(grid.lower)) / np.array(grid.spacing)).astype(int)
-    valid = np.all((index >= 0) & (index < np.array(grid.counts)), axis=1)
-    flat = index[valid, 1] * grid.counts[0] + index[valid, 0]
-    values, along = dense[flat], distance[valid]
+    along = np.arange(-reach, reach, 0.5 * min(grid.spacing))
+    position = (along[:, None] * normal - np.array(grid.lower)) / np.array(grid.spacing) - 0.5
+    values = map_coordinates(dense.reshape(grid.shape), position.T[::-1], order=1, cval=np.nan)
     in_bed = np.isfinite(values)
     along, values = along[in_bed][::-1], values[in_bed][::-1]
     return (along[0] - along) / (along[0] - along[-1]), values
