@@ -107,7 +107,7 @@ class Interval:
             along = grid.array_axis(axis)
             count = grid.shape[along]
             both = np.take(faces, range(count), along) + np.take(faces, range(1, count + 1), along)
-            dense.append(np.pad(0.5 * both / grid.face_area(axis), 1) * known)
+            dense.append(np.where(known, np.pad(0.5 * both / grid.face_area(axis), 1), 0.0))
         while known.any():
             beside = _sum_around(known.astype(float))
             new = wanted & ~known & (beside > 0)
