@@ -22,26 +22,27 @@ from scaleup import units
 from scaleup.cut_cells import cut_fraction, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
-from scaleup.grid import BoolArray, FloatArray, Grid, IntArray, grid_over
-from scaleup.scene import GRAVITY, Diffusion, Loading, Material, Operation
+from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
+from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
+from scaleup.spread import spread_outwards
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
+from scaleup.vessel_shape import is_circle
 
 if TYPE_CHECKING:
-    from scaleup.decomposition import Decomposition, GhostedField
+    from scaleup.decomposition import Decomposition
 
 __all__ = [
+    "FULL",
     "GRAVITY",
     "Axis",
     "BoolArray",
     "ContractError",
-    "Decomposition",
     "Diffusion",
     "FloatArray",
     "Flow",
     "FlowField",
     "Geometry",
-    "GhostedField",
     "Grid",
     "InputError",
     "IntArray",
@@ -52,7 +53,6 @@ __all__ = [
     "Memory",
     "Mixing",
     "MixingScene",
-    "Operation",
     "PluginOptions",
     "Progress",
     "RunError",
@@ -63,6 +63,8 @@ __all__ = [
     "flow_from_stream_function",
     "grid_over",
     "interval_from_dense",
+    "is_circle",
+    "spread_outwards",
     "units",
 ]
 
@@ -129,7 +131,8 @@ class Scene:
     """What a flow model is asked to solve.
 
     geometry     -- the vessel
-    material, operation -- as configured
+    material     -- as configured
+    speed        -- rad/s, of the vessel
     fill_volume  -- m^3 of bed
     grid         -- the grid that the FlowField is wanted on
     inputs       -- all of the above but the grid, JSON-like: the key for a `Memory`
@@ -137,7 +140,7 @@ class Scene:
 
     geometry: Geometry
     material: Material
-    operation: Operation
+    speed: float
     fill_volume: float
     grid: Grid
     inputs: Mapping[str, Any] = field(default_factory=dict)
@@ -148,8 +151,8 @@ class Flow(Protocol):
 
     Options: ClassVar[type[PluginOptions]]
 
-    def check(self, geometry: Geometry, operation: Operation) -> None:
-        """Raise InputError if the model does not hold for this scene. Cheap: nothing is built."""
+    def check(self, geometry: Geometry, speed: float) -> None:
+        """Raise InputError if the model cannot hold for this vessel and speed (rad/s). Cheap."""
         ...
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
@@ -164,7 +167,7 @@ class Flow(Protocol):
 
 @dataclass
 class Ledger:
-    """What a mixing backend did to mass and bounds, seen before any clipping.
+    """What a mixing backend did to bounds, over all components, seen before any clipping.
 
     All shares are of the bed's volume; `clipped` is the sum of the absolute changes by clipping.
     """
@@ -174,7 +177,6 @@ class Ledger:
     minimum: float = np.inf
     maximum: float = -np.inf
     clipped: float = 0.0
-    notes: list[str] = field(default_factory=list)
 
     def add(self, other: Ledger) -> None:
         """Add what a further stretch of time did."""
@@ -183,7 +185,6 @@ class Ledger:
         self.minimum = min(self.minimum, other.minimum)
         self.maximum = max(self.maximum, other.maximum)
         self.clipped += other.clipped
-        self.notes += [note for note in other.notes if note not in self.notes]
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,10 @@ def simulate(
     )
     if launched_size() is None:
         from scaleup.output_folder import check_output
+        from scaleup.storage import Store
 
         check_output(folder, overwrite=overwrite, resume=False)
+        Store().check()
         if output is None:  # all ranks must agree on the folder's name
             sys.argv += ["--output", str(folder)]
     relaunch_if_needed(ranks)
@@ -161,6 +163,9 @@ def main() -> None:
     except ScaleupError as error:
         _complain(str(error))
         sys.exit(error.exit_code)
+    except OSError as error:
+        _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
+        _end_all_ranks()
     except click.exceptions.Abort:
         _complain("interrupted")
         sys.exit(130)
@@ -198,6 +203,8 @@ def _print_summary(folder: Path) -> None:
     if estimate is not None:
         click.echo(f"change on 2x cells   {estimate:.4f}")
     click.echo(f"mass drift           {report['ledger']['mass_drift']:.2e}")
+    for sentence in report["warnings"]:
+        click.echo(f"warning              {sentence}")
     click.echo(
         f"time                 flow {timing['flow_s']:.1f} s, mixing {timing['mixing_s']:.1f} s "
         f"({timing['cell_updates_per_s']:.3g} cell updates/s on {timing['ranks']} rank(s)), "
@@ -232,6 +239,15 @@ def _complain(sentence: str) -> None:
     size = launched_size()
     if size is None or size == 1 or _is_root():
         click.echo(f"Error: {sentence}", err=True)
+
+
+def _end_all_ranks() -> None:
+    """Leave with exit code 1; the other ranks must not wait for this one."""
+    if (launched_size() or 1) > 1:
+        from mpi4py import MPI
+
+        MPI.COMM_WORLD.Abort(1)
+    sys.exit(1)
 
 
 def _is_root() -> bool:

@@ -23,6 +23,7 @@ from scaleup.registry import Kind
 from scaleup.scene import Diffusion, Material, Model, Operation
 
 PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
+_MOST_POINTS, _MOST_CELLS = 1e5, 2e9
 _EXCLUSIVE = {("operation", "fill"), ("grid",)}
 _CHOICE: dict[tuple[str, ...], str] = {
     ("geometry",): "name",
@@ -37,7 +38,7 @@ class GridChoice(Model):
 
     spacing: units.Length | None = None
     """m, edge of a cell"""
-    cells: Annotated[float, Field(ge=100, le=1e10)] | None = None
+    cells: Annotated[float, Field(ge=100, le=1e9)] | None = None
     """wanted number of active cells (those that hold material)"""
 
     @model_validator(mode="after")
@@ -63,9 +64,9 @@ class Accuracy(Model):
 class Output(Model):
     """What is kept."""
 
-    metrics_every: Annotated[float, Field(gt=0, le=1)] = 0.05
+    metrics_every: Annotated[float, Field(ge=1e-3, le=1)] = 0.05
     """revolutions between points of the blend curve"""
-    snapshots_every: Annotated[float, Field(gt=0)] = 0.5
+    snapshots_every: Annotated[float, Field(ge=1e-3)] = 0.5
     """revolutions between stored concentration fields"""
     checkpoint_every: units.Pause = 20.0
     """s of wall-clock time between checkpoints, at points of the blend curve"""
@@ -117,15 +118,15 @@ def compose(
     """
     assigned: dict[str, Any] = {}
     for text in assignments:
-        assigned = _merged(assigned, _assigned(text), within_layer=True)
+        assigned = _merged(assigned, _spelt_out(_assigned(text)), within_layer=True)
     command_line = _merged(assigned, flags or {}, within_layer=True)
-    layers = [_read(file) if file else {}, command_line]
+    layers = [_spelt_out(_read(file)) if file else {}, command_line]
     user: dict[str, Any] = {}
     for layer in layers:
         user = _merged(user, layer)
     name = _section(user, "geometry").get("name", "drum")
     geometry = registry.load("geometry", _text("geometry.name", name))
-    base = _merged({"geometry": {"name": name}}, geometry.default_scene)
+    base = _merged({"geometry": {"name": name}}, _spelt_out(geometry.default_scene))
     for layer in layers:
         base = _merged(base, layer)
     for kind in PLUGIN_SECTIONS:
@@ -138,9 +139,34 @@ def compose(
         section = dict(base[kind])
         plugin = registry.load(kind, section.pop("name"))
         _validated(plugin.Options, section, f"{kind}.")
-    config.plugin("flow").check(config.plugin("geometry"), config.operation)
-    fill_volume(config)
+    _check_together(config)
     return config
+
+
+def _check_together(config: RunConfig) -> None:
+    """What one section alone cannot know. Raises InputError."""
+    geometry = config.plugin("geometry")
+    config.plugin("flow").check(geometry, config.operation.speed)
+    fill_volume(config)
+    centre = config.operation.loading.centre
+    if centre is not None and len(centre) != geometry.dimension:
+        raise InputError(
+            f"operation.loading.centre = {list(centre)}: the geometry {config.geometry['name']!r} "
+            f"needs {geometry.dimension} coordinates"
+        )
+    points = config.operation.revolutions / config.output.metrics_every
+    if points > _MOST_POINTS:
+        raise InputError(
+            f"output.metrics_every = {config.output.metrics_every:g}: {points:.3g} points of the "
+            f"blend curve are more than {_MOST_POINTS:g}"
+        )
+    spacing, cells = grid_spacing(config), 1.0
+    for low, high in zip(geometry.lower, geometry.upper, strict=True):
+        cells *= (high - low) / spacing
+    if cells > _MOST_CELLS:
+        raise InputError(
+            f"grid: a spacing of {spacing:.3g} m gives {cells:.3g} cells, more than {_MOST_CELLS:g}"
+        )
 
 
 def fill_volume(config: RunConfig) -> float:
@@ -199,6 +225,14 @@ def _read(file: Path) -> dict[str, Any]:
         raise InputError(f"the configuration {file} cannot be read: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"the configuration {file} is not TOML: {error}") from error
+
+
+def _spelt_out(layer: Mapping[str, Any]) -> dict[str, Any]:
+    """The layer with `loading = "name"` written as the table it stands for."""
+    operation = layer.get("operation")
+    if isinstance(operation, Mapping) and isinstance(operation.get("loading"), str):
+        return {**layer, "operation": {**operation, "loading": {"pattern": operation["loading"]}}}
+    return dict(layer)
 
 
 def _assigned(text: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from itertools import permutations, product
 
 import numpy as np
 
+from scaleup.errors import InputError
 from scaleup.grid import FloatArray, Grid
 
 
@@ -50,11 +51,11 @@ def fill_to_volume(
     bed, vessel -- signed distances at all corners, m, positive inside, shape (*(shape + 1),)
     volume      -- m^3
     Returns (fill in m^3 with `grid.shape`, the shift in m); the total is `volume` to round-off.
-    Raises ValueError if the vessel cannot hold it.
+    Raises InputError if the vessel cannot hold it.
     """
     capacity = float(cut_fraction(vessel).sum() * grid.cell_volume)
     if not 0 < volume <= capacity:
-        raise ValueError(f"a fill of {volume:.4g} m^3 does not fit a vessel of {capacity:.4g} m^3")
+        raise InputError(f"a fill of {volume:.4g} m^3 does not fit a vessel of {capacity:.4g} m^3")
 
     def fill(shift: float) -> FloatArray:
         whole: FloatArray = cut_fraction(np.minimum(bed + shift, vessel)) * grid.cell_volume

@@ -17,6 +17,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from scaleup.errors import InputError
 from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 
 
@@ -53,7 +54,7 @@ class Decomposition:
     def __init__(self, grid: Grid, active: IntArray, comm: Any, halo: int = 1):
         """`active`: flat indices of all cells that are ever active (the same on every rank).
 
-        Raises ValueError if there are more ranks than the box can be split for.
+        Raises InputError if there are more ranks than the box can be split for.
         """
         self.grid, self.comm, self.halo = grid, comm, halo
         position = np.unravel_index(active, grid.shape)[::-1]
@@ -215,7 +216,7 @@ def _balanced(
             best = (busiest, ranks, cuts)
     if best is None:
         counts = " x ".join(str(len(h)) for h in histograms)
-        raise ValueError(f"{size} ranks are too many for a box of {counts} cells")
+        raise InputError(f"--ranks = {size}: too many for a bed of {counts} cells")
     return best[1], best[2]
 
 

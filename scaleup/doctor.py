@@ -18,7 +18,6 @@ _IMPORTS = {
     "h5py": "apt install python3-h5py-mpi, or pip install h5py",
     "ngsolve": "pip install ngsolve",
     "numba": "pip install numba",
-    "meshio": "pip install meshio",
 }
 _VERSIONS = {
     "mpi4py": "from mpi4py import MPI; print(MPI.Get_library_version().split(chr(10))[0][:60])",

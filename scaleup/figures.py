@@ -108,7 +108,8 @@ def blend_curve(
                 revolutions, low, high, color=line.get_color(), alpha=0.25, lw=0,
                 label="change on cells twice as large",
             )  # fmt: skip
-    axis.set(xlabel="revolutions", ylabel="segregation intensity I", ylim=(0, 1.02))
+    axis.set(xlabel="revolutions", ylabel="segregation intensity I")
+    axis.set_ylim(bottom=0)
     axis.grid(alpha=0.3)
     axis.legend()
     _save(figure, path)
@@ -119,6 +120,8 @@ def centre_profiles(path: Path, profiles: Mapping[str, Sequence[Sequence[float]]
     figure, axis = plt.subplots(figsize=(6, 3.8), layout="constrained")
     colours = plt.get_cmap("plasma")(np.linspace(0, 0.85, len(profiles)))
     for colour, (revolution, (depth, values)) in zip(colours, profiles.items(), strict=True):
+        if float(revolution) == 0:  # side by side, the line is the border between the components
+            continue
         axis.plot(depth, values, color=colour, label=f"{float(revolution):.2f} rev")
     axis.set(
         xlabel="depth below the surface / bed depth",

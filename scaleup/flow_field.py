@@ -16,15 +16,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
+from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray
+from scaleup.spread import spread_outwards
 
 Frame = Literal["lab", "vessel"]
-
-_FULL = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -96,28 +95,15 @@ class Interval:
         be off by any factor: cut cells take the mean of the cells around them that have a velocity,
         layer by layer from the full cells outwards (first order); zero where there is no full cell.
         """
-        fill = np.zeros(grid.cells)
-        fill[self.cells] = 0.5 * (self.fill_start + self.fill_end)
-        known = np.pad(fill.reshape(grid.shape) >= _FULL * grid.cell_volume, 1)
-        active = np.zeros(grid.cells, dtype=bool)
-        active[self.cells] = True
-        wanted = np.pad(active.reshape(grid.shape), 1)
-        dense = []
+        mean_fill = 0.5 * (self.fill_start + self.fill_end)
+        full = self.cells[mean_fill >= FULL * grid.cell_volume]
+        known = []
         for axis, faces in enumerate(self.face_fluxes(grid)):
             along = grid.array_axis(axis)
             count = grid.shape[along]
             both = np.take(faces, range(count), along) + np.take(faces, range(1, count + 1), along)
-            dense.append(np.where(known, np.pad(0.5 * both / grid.face_area(axis), 1), 0.0))
-        while known.any():
-            beside = _sum_around(known.astype(float))
-            new = wanted & ~known & (beside > 0)
-            if not new.any():
-                break
-            for component in dense:
-                component[new] = _sum_around(component)[new] / beside[new]
-            known |= new
-        inner = (slice(1, -1),) * grid.dimension
-        return np.stack([component[inner].reshape(-1)[self.cells] for component in dense])
+            known.append(0.5 * both.reshape(-1)[full] / grid.face_area(axis))
+        return spread_outwards(grid, full, np.stack(known), self.cells)
 
 
 @dataclass(frozen=True)
@@ -135,6 +121,7 @@ class FlowField:
     prefix           -- how many of them are start-up; the others repeat for ever (none: the flow
                         ends with its prefix)
     summary          -- figures that the flow model states of itself (surface angle, ...)
+    warnings         -- sentences on where the model may not hold
     """
 
     grid: Grid
@@ -144,7 +131,8 @@ class FlowField:
     intervals: Sequence[Interval]
     lift: float = 0.0
     prefix: int = 0
-    summary: Mapping[str, float | str | None] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @cached_property
     def times(self) -> FloatArray:
@@ -216,6 +204,7 @@ class FlowField:
             lift=self.lift,
             prefix=self.prefix,
             summary=self.summary,
+            warnings=self.warnings,
         )
 
 
@@ -258,14 +247,6 @@ def interval_from_dense(
         shear_rate=shear_rate[position],
         direction=np.stack([component[position] for component in direction]),
     )
-
-
-def _sum_around(values: FloatArray) -> FloatArray:
-    """Sum over a cell and all cells that touch it, on an array with an empty rim."""
-    total = values
-    for dim in range(values.ndim):
-        total = total + np.roll(total, 1, dim) + np.roll(total, -1, dim)
-    return total
 
 
 def _coarsened(part: Interval, grid: Grid, factor: int) -> Interval:

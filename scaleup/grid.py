@@ -12,6 +12,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+FULL = 1.0 - 1e-6  # fill fraction from which a cell counts as full of material
+
 
 @dataclass(frozen=True)
 class Grid:

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from scaleup.errors import InputError
 from scaleup.flow_field import Interval
-from scaleup.grid import FloatArray, Grid, IntArray
+from scaleup.grid import FloatArray, Grid
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,10 @@ class Sampler:
     """Cuts the bed of one interval into samples at a scale of scrutiny."""
 
     def __init__(self, grid: Grid, interval: Interval, time: float, edge: float):
-        """`edge`: wanted edge of a sample, m; rounded to whole cells, at least one."""
+        """`edge`: wanted edge of a sample, m; rounded to whole cells, at least one.
+
+        Raises InputError if no sample is at least half full.
+        """
         fill = interval.fill(time)
         self._node = fill >= 0.5 * grid.cell_volume
         position = np.unravel_index(interval.cells, grid.shape)
@@ -53,13 +57,15 @@ class Sampler:
         _, self._box = np.unique(box, return_inverse=True)
         held = np.bincount(self._box, weights=fill)
         full = held >= 0.5 * grid.cell_volume * math.prod(block)
+        if not full.any() or self._node.sum() < 2:
+            raise InputError(
+                f"accuracy.scrutiny: no sample of edge {edge:.3g} m is half full on cells of "
+                f"{min(grid.spacing):.3g} m; take smaller samples or smaller cells"
+            )
         self._fill, self._held, self._full = fill, held, full
-        self.sample_volume = float(held[full].mean()) if full.any() else 0.0
-
-    @property
-    def nodes(self) -> IntArray:
-        """Positions, among the active cells, of the cells that are at least half full."""
-        return np.flatnonzero(self._node)
+        # a cross-section stands for any depth: its samples are as deep as they are wide
+        depth = 1.0 if grid.dimension == 3 else edge / grid.depth
+        self.sample_volume = float(held[full].mean()) * depth
 
     def measure(self, concentration: FloatArray, grains_per_volume: float) -> Mixedness:
         """Mixedness of a component, (n,) on the active cells; grains_per_volume in 1/m^3."""

@@ -14,13 +14,22 @@ from scaleup.files import write_text
 
 
 def work_folder(folder: Path) -> Path:
-    """Where an unfinished run lies."""
+    """Where an unfinished run lies. Raises InputError for a folder without a name of its own."""
+    if folder.name in ("", ".."):
+        raise InputError(f"--output {str(folder)!r}: name a folder for the run")
     return folder.with_name(folder.name + ".partial")
 
 
 def check_output(folder: Path, *, overwrite: bool, resume: bool) -> None:
     """Raise InputError if a run may not be written to this folder."""
     work = work_folder(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--output {folder}: is a file, not a folder")
+    parent = next(p for p in folder.absolute().parents if p.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise InputError(f"--output {folder}: nothing can be written to {parent}")
+    if work.exists() and any(work.iterdir()) and not (work / "config.toml").exists():
+        raise InputError(f"--output {folder}: {work} is in the way and is not an unfinished run")
     if resume:
         if not (work / "config.toml").exists():
             raise InputError(f"{folder}: there is no unfinished run to resume ({work} is missing)")
@@ -29,7 +38,7 @@ def check_output(folder: Path, *, overwrite: bool, resume: bool) -> None:
         if folder.exists() and any(folder.iterdir()) and not (folder / "report.json").exists():
             raise InputError(f"--output {folder}: is not a run folder; --overwrite leaves it alone")
         return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and any(folder.iterdir()):
         raise InputError(f"--output {folder}: is there already; give another or add --overwrite")
     if work.exists():
         raise InputError(
@@ -54,6 +63,8 @@ def publish(work: Path, folder: Path) -> None:
     """Put the finished run in its place; what it overwrites goes only then."""
     old = folder.with_name(f".{folder.name}.old")
     if folder.exists():
+        if old.exists():  # left by a run that was killed between the two lines below
+            shutil.rmtree(old)
         os.replace(folder, old)
     os.replace(work, folder)
     if old.exists():

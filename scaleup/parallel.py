@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from scaleup.errors import ScaleupError
+from scaleup.errors import RunError, ScaleupError
 
 T = TypeVar("T")
 
@@ -51,6 +51,8 @@ def on_root(comm: Any, work: Callable[[], T]) -> T:
             result = work()
         except ScaleupError as error:
             failure = error
+        except OSError as error:
+            failure = RunError(f"{error.filename or 'a file'}: {error.strerror or error}")
     if comm.size > 1:
         request = comm.Ibarrier()
         while not request.Test():

@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from scaleup import registry, storage
 from scaleup.api import Ledger, MixingScene, Scene
 from scaleup.config import RunConfig, fill_in_all_kinds, fill_volume, grid_spacing
 from scaleup.decomposition import Decomposition
 from scaleup.diffusion_tensor import diffusion_tensor
+from scaleup.errors import ScaleupError
 from scaleup.flow_field import FlowField, Interval
 from scaleup.grid import FloatArray, Grid, IntArray, grid_over
 from scaleup.loading import initial_concentration
@@ -37,6 +39,9 @@ _HALO = 2  # ghost layers offered to mixing backends
 class Blend:
     """The blend curve of one mixing run; lists have one entry per point of the curve.
 
+    intensity, intensity_sample -- of component 1
+    lacey, rsd -- of the component that is blended worst
+    volumes  -- of each component, m^3
     profiles -- by revolution: depth below the surface over bed depth, and concentration
     """
 
@@ -45,7 +50,7 @@ class Blend:
     intensity_sample: list[float] = field(default_factory=list)
     lacey: list[float] = field(default_factory=list)
     rsd: list[float] = field(default_factory=list)
-    mass: list[float] = field(default_factory=list)
+    volumes: list[list[float]] = field(default_factory=list)
     profiles: dict[str, list[list[float]]] = field(default_factory=dict)
     ledger: Ledger = field(default_factory=Ledger)
     seconds: float = 0.0
@@ -53,10 +58,9 @@ class Blend:
 
     @property
     def mass_drift(self) -> float:
-        """Greatest relative change of the first component's volume."""
-        if not self.mass:
-            return 0.0
-        return max(abs(m / self.mass[0] - 1.0) for m in self.mass)
+        """Greatest relative change of a component's volume."""
+        volumes = np.array(self.volumes)
+        return float(np.abs(volumes / volumes[0] - 1.0).max())
 
 
 @dataclass(frozen=True)
@@ -81,25 +85,31 @@ def run(config: RunConfig, folder: Path, comm: Any, *, overwrite: bool, resume: 
     )
     handler = _log_to(work / "run.log") if comm.rank == 0 else None
     try:
-        started = time.monotonic()
         log.info("scaleup on %d rank(s); %s", comm.size, _describe(config))
         outcome = obtain_flow(config, comm)
         results = Results(work, outcome.flow.grid, config.operation.period)
         blend = mix(config, outcome.flow, comm, results=results, checkpoint=work / "checkpoint.h5")
-        coarse = None
-        if config.accuracy.estimate:
-            log.info("mixing again on cells twice as large, for the error estimate")
-            coarse = mix(config, outcome.flow.coarsened(2), comm)
-        total = time.monotonic() - started
+        coarse = _coarse_blend(config, outcome.flow, comm)
         if comm.rank == 0:
             results.write_xdmf()
-            write_report(work, config, outcome, blend, coarse, results, total, comm.size)
+            write_report(work, config, outcome, blend, coarse, results, comm.size)
     finally:
         if handler is not None:
             log.removeHandler(handler)
             handler.close()
     on_root(comm, partial(publish, work, folder))
     return folder
+
+
+def _coarse_blend(config: RunConfig, flow: FlowField, comm: Any) -> Blend | str:
+    """The blend on cells twice as large, or why there is none; a finished run is never lost."""
+    if not config.accuracy.estimate:
+        return "accuracy.estimate is off"
+    log.info("mixing again on cells twice as large, for the error estimate")
+    try:
+        return mix(config, flow.coarsened(2), comm)
+    except ScaleupError as error:
+        return f"on cells twice as large: {error}"
 
 
 def make_grid(config: RunConfig) -> Grid:
@@ -113,6 +123,7 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     store = Store()
     grid = make_grid(config)
     flow_plugin = registry.load("flow", config.flow["name"])
+    geometry_plugin = registry.load("geometry", config.geometry["name"])
     scene_inputs = {
         "geometry": {"name": config.geometry["name"], **_dump(config.options("geometry"))},
         "material": _dump(config.material),
@@ -121,7 +132,7 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     }
     flow_options = {"name": config.flow["name"], **_dump(config.options("flow"))}
     key = storage.content_hash(
-        scene_inputs | {"flow": flow_options, "grid": asdict(grid)}, flow_plugin
+        scene_inputs | {"flow": flow_options, "grid": asdict(grid)}, flow_plugin, geometry_plugin
     )
     path = store.path("flow", key)
 
@@ -133,14 +144,14 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
         scene = Scene(
             geometry=config.plugin("geometry"),
             material=config.material,
-            operation=config.operation,
+            speed=config.operation.speed,
             fill_volume=fill_volume(config),
             grid=grid,
             inputs=scene_inputs,
         )
         with Reporter("flow", visible=True) as progress:
-            memory = store.memory_of(flow_plugin)
-            flow = config.plugin("flow").solve(scene, _self(comm), progress, memory)
+            memory = store.memory_of(flow_plugin, geometry_plugin)
+            flow = config.plugin("flow").solve(scene, MPI.COMM_SELF, progress, memory)
         check_flow(flow, scene.geometry, scene.fill_volume)
         storage.write_flow(path, flow)
         seconds = time.monotonic() - began
@@ -169,12 +180,13 @@ def mix(
     # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
     waited = flow.lift / (2 * math.pi) if config.operation.start == "level-bed" else 0.0
     points = _curve_points(config, waited)
-    blend, first, index = Blend(), 0, 0
+    blend, first, index, local = Blend(), 0, 0, 0.0
     concentration = initial_concentration(config.operation.loading, flow)
     resumed = checkpoint is not None and checkpoint.exists()
     if checkpoint is not None and resumed:
         arrays, state = storage.read_checkpoint(checkpoint)
-        concentration, first, index = arrays["concentration"], state["point"], state["interval"]
+        concentration, first = arrays["concentration"], state["point"]
+        index, local = state["interval"], state["time"]
         blend = Blend(**{**state["blend"], "ledger": Ledger(**state["blend"]["ledger"])})
         log.info("resumed at revolution %.3f", points[first])
     split = Decomposition(flow.grid, _ever_active(flow), comm, halo=_HALO)
@@ -190,19 +202,18 @@ def mix(
             now = max(0.0, (revolution - waited) * period)
             if number > first:
                 before = max(0.0, (points[number - 1] - waited) * period)
-                for index, start, end in flow.schedule(before, now):
-                    blend.ledger.add(backend.advance(index, start, end))
+                for index, start, local in flow.schedule(before, now):
+                    blend.ledger.add(backend.advance(index, start, local))
             interval = flow.intervals[index]
+            local = min(max(local, interval.start), interval.end)  # a steady part has no end
             concentration = backend.concentration(interval)
             if not (resumed and number == first):
-                _measure(
-                    blend, config, flow, interval, min(now, interval.end), revolution, concentration
-                )
+                _measure(blend, config, flow, interval, local, revolution, concentration)
             if results is not None and root:
                 if number == 0:
                     results.create()
                 if _is_snapshot(config, revolution, number, len(points)):
-                    results.add(revolution, interval, min(now, interval.end), concentration)
+                    results.add(revolution, interval, local, concentration)
                     _profile(blend, flow, interval, revolution, concentration)
             progress(
                 (number + 1) / len(points),
@@ -215,7 +226,7 @@ def mix(
                 storage.write_checkpoint(
                     checkpoint,
                     {"concentration": concentration},
-                    {"point": number, "interval": index, "blend": asdict(blend)},
+                    {"point": number, "interval": index, "time": local, "blend": asdict(blend)},
                 )
     return blend
 
@@ -237,13 +248,13 @@ def _measure(
     edge = config.accuracy.scrutiny * material.grain_diameter
     sampler = Sampler(flow.grid, interval, time_in_interval, edge)
     grains = material.solid_fraction / (math.pi / 6 * material.grain_diameter**3)
-    mixedness = sampler.measure(concentration[0], grains)
+    components = [sampler.measure(component, grains) for component in concentration]
     blend.revolutions.append(revolution)
-    blend.intensity.append(mixedness.intensity)
-    blend.intensity_sample.append(mixedness.intensity_sample)
-    blend.lacey.append(mixedness.lacey)
-    blend.rsd.append(mixedness.rsd)
-    blend.mass.append(float(concentration[0] @ interval.fill(time_in_interval)))
+    blend.intensity.append(components[0].intensity)
+    blend.intensity_sample.append(components[0].intensity_sample)
+    blend.lacey.append(min(component.lacey for component in components))
+    blend.rsd.append(max(component.rsd for component in components))
+    blend.volumes.append((concentration @ interval.fill(time_in_interval)).tolist())
     blend.sample_volume = sampler.sample_volume
 
 
@@ -298,9 +309,3 @@ def _describe(config: RunConfig) -> str:
 def _dump(model: Any) -> dict[str, Any]:
     dumped: dict[str, Any] = model.model_dump(mode="json")
     return dumped
-
-
-def _self(comm: Any) -> Any:
-    from mpi4py import MPI
-
-    return MPI.COMM_SELF

@@ -33,7 +33,8 @@ _FLOW_KEYS = (
     "flux_midbed",
     "volume_drift",
 )
-_LIBRARIES = ("numpy", "mpi4py", "petsc4py", "ngsolve", "h5py", "numba", "pydantic", "meshio")
+_OVERSHOOT, _MASS_DRIFT, _CELLS_PER_LAYER = 0.05, 2e-3, 10
+_LIBRARIES = ("numpy", "mpi4py", "petsc4py", "ngsolve", "h5py", "numba", "pydantic")
 
 
 def write_report(
@@ -41,13 +42,15 @@ def write_report(
     config: RunConfig,
     outcome: FlowOutcome,
     blend: Blend,
-    coarse: Blend | None,
+    coarse: Blend | str,
     results: Results,
-    total_seconds: float,
     ranks: int,
 ) -> None:
-    """Write figures/, report.html and, last, report.json; called on the root."""
-    report = compile_report(config, outcome, blend, coarse, total_seconds, ranks)
+    """Write figures/, report.html and, last, report.json; called on the root.
+
+    `coarse` is the blend on cells twice as large, or why there is none.
+    """
+    report = compile_report(config, outcome, blend, coarse, ranks)
     pictures = _draw(folder / "figures", outcome, blend, coarse, results)
     write_text(folder / "report.html", _html(report, pictures))
     write_text(folder / "report.json", json.dumps(_finite(report), indent=2) + "\n")
@@ -57,8 +60,7 @@ def compile_report(
     config: RunConfig,
     outcome: FlowOutcome,
     blend: Blend,
-    coarse: Blend | None,
-    total_seconds: float,
+    coarse: Blend | str,
     ranks: int,
 ) -> dict[str, Any]:
     """All figures of a run, SI; a value that cannot be given is None with `<key>_reason`."""
@@ -75,6 +77,7 @@ def compile_report(
         "centre_line": blend.profiles,
         "definitions": {
             "segregation_intensity": "Eq. 22-25 over nodes (cells at least half full), component 1",
+            "lacey, rsd, blend_time": "of the component that is blended worst",
             "at_scrutiny": f"fill-weighted samples of edge {config.accuracy.scrutiny:g} grain "
             f"diameters, {blend.sample_volume:.3g} m^3 each",
             "blend_time": f"first revolution with RSD at scrutiny below "
@@ -89,8 +92,11 @@ def compile_report(
     if mixing["decay_rate_per_revolution"] is None:
         mixing["decay_rate_per_revolution_reason"] = "fewer than four points of I below 0.8"
     ledger = blend.ledger
+    estimate = _error_estimate(config, outcome, blend, coarse)
+    estimate_seconds = 0.0 if isinstance(coarse, str) else coarse.seconds
     return {
         "schema": SCHEMA,
+        "warnings": _warnings(config, outcome, blend, estimate),
         "model": {
             "dimension": flow.grid.dimension,
             "frame": flow.frame,
@@ -118,14 +124,13 @@ def compile_report(
             "maximum": ledger.maximum if ledger.steps else None,
             "clipped_mass": ledger.clipped,
             "steps": ledger.steps,
-            "notes": ledger.notes,
         },
-        "error_estimate": _error_estimate(config, blend, coarse),
+        "error_estimate": estimate,
         "timing": {
             "flow_s": outcome.seconds,
             "mixing_s": blend.seconds,
-            "estimate_s": coarse.seconds if coarse else 0.0,
-            "total_s": total_seconds,
+            "estimate_s": estimate_seconds,
+            "total_s": outcome.seconds + blend.seconds + estimate_seconds,
             "ranks": ranks,
             "cell_updates_per_s": ledger.cell_updates / max(blend.seconds, 1e-9),
         },
@@ -156,7 +161,7 @@ def _reasons(config: RunConfig, outcome: FlowOutcome) -> list[str]:
     flow = outcome.flow
     reasons = []
     if flow.grid.dimension == 2:
-        reasons.append("2-D: every cross-section of the vessel is alike")
+        reasons.append(f"2-D: the geometry {config.geometry['name']!r} is a cross-section")
     if flow.steady:
         reasons.append("steady: the bed stands still in the lab frame once it flows")
     reasons.append(f"flow {config.flow['name']!r} and mixing {config.mixing['name']!r} as asked")
@@ -165,19 +170,56 @@ def _reasons(config: RunConfig, outcome: FlowOutcome) -> list[str]:
     return reasons
 
 
-def _error_estimate(config: RunConfig, blend: Blend, coarse: Blend | None) -> dict[str, Any]:
-    if coarse is None:
-        reason = "accuracy.estimate is off"
-        return {"segregation_intensity": None, "segregation_intensity_reason": reason}
-    worst = max(_band(blend, coarse))
-    return {
-        "segregation_intensity": worst,
+def _error_estimate(
+    config: RunConfig, outcome: FlowOutcome, blend: Blend, coarse: Blend | str
+) -> dict[str, Any]:
+    estimate: dict[str, Any] = {
         "method": "greatest change of I over the run when cells are twice as large",
         "tolerance": config.accuracy.tolerance,
-        "within_tolerance": worst <= config.accuracy.tolerance,
-        "flow": None,
-        "flow_reason": "the flow model's own error is not part of this estimate",
+        "surface_angle_deg": outcome.flow.summary.get("surface_angle_error_deg"),
     }
+    if estimate["surface_angle_deg"] is None:
+        estimate["surface_angle_deg_reason"] = "the flow model states no error of its angle"
+    if isinstance(coarse, str):
+        return estimate | {
+            "segregation_intensity": None,
+            "segregation_intensity_reason": coarse,
+            "within_tolerance": None,
+            "within_tolerance_reason": coarse,
+        }
+    worst = max(_band(blend, coarse))
+    return estimate | {
+        "segregation_intensity": worst,
+        "within_tolerance": worst <= config.accuracy.tolerance,
+    }
+
+
+def _warnings(
+    config: RunConfig, outcome: FlowOutcome, blend: Blend, estimate: dict[str, Any]
+) -> list[str]:
+    """What a reader should know before using the figures."""
+    found = list(outcome.flow.warnings)
+    ledger, grid = blend.ledger, outcome.flow.grid
+    if estimate["within_tolerance"] is False:
+        found.append(
+            f"I changes by up to {estimate['segregation_intensity']:.2g} on cells twice as large, "
+            f"more than the tolerance {config.accuracy.tolerance:g}: take smaller cells"
+        )
+    beyond = max(0.0, -ledger.minimum, ledger.maximum - 1.0) if ledger.steps else 0.0
+    if beyond > _OVERSHOOT:
+        found.append(
+            f"concentrations left [0, 1] by up to {beyond:.2g} on the way (sharp fronts, unlimited "
+            "scheme)"
+        )
+    if blend.mass_drift > _MASS_DRIFT:
+        found.append(f"a component's volume drifted by {blend.mass_drift:.2g} of itself")
+    thickness = outcome.flow.summary.get("active_layer_thickness")
+    if isinstance(thickness, float) and thickness < _CELLS_PER_LAYER * min(grid.spacing):
+        found.append(
+            f"the active layer is {thickness / min(grid.spacing):.1f} cells thick; "
+            f"{_CELLS_PER_LAYER} or more are wanted"
+        )
+    return found
 
 
 def _band(blend: Blend, coarse: Blend) -> list[float]:
@@ -185,7 +227,7 @@ def _band(blend: Blend, coarse: Blend) -> list[float]:
 
 
 def _draw(
-    folder: Path, outcome: FlowOutcome, blend: Blend, coarse: Blend | None, results: Results
+    folder: Path, outcome: FlowOutcome, blend: Blend, coarse: Blend | str, results: Results
 ) -> list[tuple[str, Path]]:
     folder.mkdir(exist_ok=True)
     flow = outcome.flow
@@ -201,7 +243,7 @@ def _draw(
         add("Segregation intensity against revolutions", "blend_curve"),
         blend.revolutions,
         {"over nodes": blend.intensity, "at the scale of scrutiny": blend.intensity_sample},
-        _band(blend, coarse) if coarse else None,
+        None if isinstance(coarse, str) else _band(blend, coarse),
     )
     figures.speed_map(add("Speed of the powder", "speed"), flow)
     angle = flow.summary.get("surface_angle_deg")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -88,8 +88,8 @@ class Loading(Model):
 
     pattern: Literal["side-by-side", "top-bottom", "region"] = "side-by-side"
     """layers side by side or on top of each other, or a disc or ball in the rest"""
-    shares: tuple[Share, ...] = (0.5, 0.5)
-    """volume shares of the components, from left to right or from top to bottom"""
+    shares: tuple[Share, ...] | None = None
+    """volume shares of the components, from left to right or top to bottom; default halves"""
     centre: tuple[units.Coordinate, ...] | None = None
     """of the region, m (x, y or x, y, z)"""
     radius: units.Length | None = None
@@ -101,14 +101,21 @@ class Loading(Model):
             raise ValueError("the pattern 'region' needs centre and radius")
         if self.pattern != "region" and (self.centre is not None or self.radius is not None):
             raise ValueError(f"the pattern {self.pattern!r} takes no centre and no radius")
-        if len(self.shares) < 2 or abs(sum(self.shares) - 1.0) > 1e-9:
+        if self.pattern == "region" and self.shares is not None:
+            raise ValueError("the pattern 'region' takes no shares; its radius sets them")
+        if len(self.layers) < 2 or abs(sum(self.layers) - 1.0) > 1e-9:
             raise ValueError("shares must be two or more numbers that sum to 1")
         return self
 
     @property
+    def layers(self) -> tuple[float, ...]:
+        """Volume shares of the layers."""
+        return self.shares or (0.5, 0.5)
+
+    @property
     def components(self) -> int:
         """Number of ingredients; a region has two, the one inside first."""
-        return 2 if self.pattern == "region" else len(self.shares)
+        return 2 if self.pattern == "region" else len(self.layers)
 
 
 class Operation(Model):
@@ -122,13 +129,6 @@ class Operation(Model):
     """how long to blend"""
     start: Literal["level-bed", "steady"] = "level-bed"
     """revolution 0: the settled level bed (lifted rigidly until it flows), or the steady flow"""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _loading_by_name(cls, data: Any) -> Any:
-        if isinstance(data, dict) and isinstance(data.get("loading"), str):
-            return {**data, "loading": {"pattern": data["loading"]}}
-        return data
 
     @property
     def period(self) -> float:

@@ -1,12 +1,15 @@
 """Files: stored flows, checkpoints, results and their ParaView description.
 
-All HDF5 is written by the root through a temporary name, so that a reader, or a run that is
-killed, never meets half a file. Datasets carry their SI unit, files their `format_version`.
+HDF5 is written by the root, flows and checkpoints through a temporary name, so that a reader, or a
+run that is killed, never meets half a file; `results.h5` grows by a snapshot at a time inside the
+work folder, and is published with it when the run is complete. Datasets carry their SI unit, files
+their `format_version`.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import inspect
 import json
 import os
@@ -19,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scaleup
-from scaleup.errors import RunError
+from scaleup.errors import InputError, RunError
 from scaleup.files import replacing, write_text
 from scaleup.flow_field import Axis, FlowField, Interval
 from scaleup.grid import FloatArray, Grid
 
 FORMAT_VERSION = 1
+_FLOW_MODULES = ("cut_cells", "flow_field", "grid", "scene", "spread", "stream_function")
 _UNITS = {
     "cells": "1",
     "fill_start": "m^3",
@@ -35,14 +39,31 @@ _UNITS = {
 }
 
 
-def content_hash(inputs: Mapping[str, Any], plugin: type) -> str:
-    """Hash of JSON-like inputs, the version of scaleup and the source of the plugin's package."""
-    source = Path(inspect.getfile(plugin)).parent
+def content_hash(inputs: Mapping[str, Any], *plugins: type) -> str:
+    """Hash of JSON-like inputs and of the code that turns them into a flow.
+
+    The code is the source of the plugins' packages and of the modules of scaleup that a flow is
+    made with, so that a corrected blender or a mended cut cell never meets a flow of before.
+    """
     digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
-    digest.update(scaleup.__version__.encode())
-    for file in sorted(source.rglob("*.py")):
+    digest.update(f"{scaleup.__version__} {FORMAT_VERSION}".encode())
+    core = Path(scaleup.__file__).parent
+    files = [core / f"{name}.py" for name in _FLOW_MODULES]
+    for plugin in plugins:
+        files += _sources(plugin)
+    for file in files:
         digest.update(file.read_bytes())
     return digest.hexdigest()[:20]
+
+
+def _sources(plugin: type) -> list[Path]:
+    """Python files of the top-level package, or of the one module, that a plugin comes from."""
+    spec = importlib.util.find_spec(plugin.__module__.partition(".")[0])
+    if spec is not None and spec.submodule_search_locations:
+        return sorted(
+            file for place in spec.submodule_search_locations for file in Path(place).rglob("*.py")
+        )
+    return [Path(inspect.getfile(plugin))]
 
 
 class Store:
@@ -57,16 +78,25 @@ class Store:
         """Where a result of a kind (`flow`, `part`) is kept."""
         return self.folder / f"{kind}-{key}.h5"
 
-    def memory_of(self, plugin: type) -> PluginMemory:
-        """What `scaleup.api.Memory` promises, for one plugin."""
-        return PluginMemory(self, plugin)
+    def check(self) -> None:
+        """Raise InputError if nothing can be kept here."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"SCALEUP_CACHE = {self.folder}: {error.strerror}") from error
+        if not os.access(self.folder, os.W_OK):
+            raise InputError(f"SCALEUP_CACHE = {self.folder}: nothing can be written there")
+
+    def memory_of(self, *plugins: type) -> PluginMemory:
+        """What `scaleup.api.Memory` promises, for a flow plugin on a geometry plugin."""
+        return PluginMemory(self, *plugins)
 
 
 class PluginMemory:
-    """Arrays of one plugin in a store, under the hash of the inputs that they came from."""
+    """Arrays in a store, under the hash of the inputs and the plugins that they came from."""
 
-    def __init__(self, store: Store, plugin: type):
-        self._store, self._plugin = store, plugin
+    def __init__(self, store: Store, *plugins: type):
+        self._store, self._plugins = store, plugins
 
     def recall(self, inputs: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The arrays kept under these inputs, or None."""
@@ -90,7 +120,7 @@ class PluginMemory:
         self._path(inputs).unlink(missing_ok=True)
 
     def _path(self, inputs: Mapping[str, Any]) -> Path:
-        return self._store.path("part", content_hash(inputs, self._plugin))
+        return self._store.path("part", content_hash(inputs, *self._plugins))
 
 
 def write_flow(path: Path, flow: FlowField) -> None:
@@ -105,6 +135,7 @@ def write_flow(path: Path, flow: FlowField) -> None:
         file.attrs["axis_point"] = flow.axis.point
         file.attrs["axis_direction"] = flow.axis.direction
         file.attrs["summary"] = json.dumps(dict(flow.summary))
+        file.attrs["warnings"] = json.dumps(flow.warnings)
         _write_grid(file, flow.grid)
         for number, interval in enumerate(flow.intervals):
             group = file.create_group(f"intervals/{number:06d}")
@@ -127,6 +158,7 @@ def read_flow(path: Path) -> FlowField:
             lift=float(file.attrs["lift"]),
             prefix=int(file.attrs["prefix"]),
             summary=json.loads(file.attrs["summary"]),
+            warnings=tuple(json.loads(file.attrs["warnings"])),
         )
 
 

@@ -9,12 +9,16 @@ cut faces included.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from scaleup.errors import RunError
 from scaleup.flow_field import Axis, FlowField, Frame, interval_from_dense
 from scaleup.grid import BoolArray, FloatArray, Grid
+
+_STILL = 1e-9  # of the greatest relative speed: below it a direction would be rounding
 
 
 def flow_from_stream_function(
@@ -28,6 +32,7 @@ def flow_from_stream_function(
     lift: float,
     summary: Mapping[str, Any],
     frame: Frame = "lab",
+    warnings: tuple[str, ...] = (),
 ) -> FlowField:
     """A steady plane FlowField.
 
@@ -37,16 +42,16 @@ def flow_from_stream_function(
     The direction is that of the cell's velocity relative to rigid rotation.
     """
     faces = [np.diff(psi, axis=0) * grid.depth, -np.diff(psi, axis=1) * grid.depth]
-    fraction = np.maximum(fill / grid.cell_volume, 1e-12)
-    u = 0.5 * (faces[0][:, 1:] + faces[0][:, :-1]) / grid.face_area(0) / fraction
-    v = 0.5 * (faces[1][1:, :] + faces[1][:-1, :]) / grid.face_area(1) / fraction
+    none = np.zeros((2, *grid.shape))
+    interval = interval_from_dense(0.0, 1.0, grid, fill, fill, faces, shear_rate, none)
+    relative = interval.velocity(grid)
     if frame == "lab":
-        u = u + angular_velocity * (grid.centres(1)[:, None] - axis.point[1])
-        v = v - angular_velocity * (grid.centres(0)[None, :] - axis.point[0])
-    relative = np.stack([u, v])
+        arm = grid.centre_points(interval.cells).T - np.array(axis.point[:2])[:, None]
+        relative += angular_velocity * np.stack([arm[1], -arm[0]])
     speed = np.linalg.norm(relative, axis=0)
-    direction = np.divide(relative, speed, out=np.zeros_like(relative), where=speed > 0)
-    interval = interval_from_dense(0.0, 1.0, grid, fill, fill, faces, shear_rate, direction)
+    moves = speed > _STILL * speed.max(initial=0.0)
+    direction = np.divide(relative, speed, out=np.zeros_like(relative), where=moves)
+    interval = replace(interval, direction=direction)
     return FlowField(
         grid=grid,
         frame=frame,
@@ -55,6 +60,7 @@ def flow_from_stream_function(
         intervals=[interval],
         lift=lift,
         summary=summary,
+        warnings=warnings,
     )
 
 
@@ -72,7 +78,7 @@ def fit_stream_function(
     wet    -- wet length of the faces normal to x, (ny, nx + 1), and to y, (ny + 1, nx), m
     flux   -- given flux per depth through the wet part, the same shapes, m^2/s
     Returns psi, m^2/s, shape (ny + 1, nx + 1). Runs on this process alone.
-    Raises RuntimeError if the linear solve does not converge.
+    Raises RunError if the linear solve does not converge.
     """
     from petsc4py import PETSc
 
@@ -121,7 +127,7 @@ def fit_stream_function(
     load.setArray(right)
     solver.solve(load, solution)
     if solver.getConvergedReason() <= 0:
-        raise RuntimeError("the projection of the flow onto the grid did not converge")
+        raise RunError("the projection of the flow onto the grid did not converge")
     psi = np.zeros(inside.shape)
     psi[inside] = solution.getArray()
     return psi

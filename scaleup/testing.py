@@ -9,7 +9,7 @@ import numpy as np
 from scaleup.cut_cells import cut_fraction
 from scaleup.errors import ContractError
 from scaleup.flow_field import FlowField
-from scaleup.grid import Grid, grid_over
+from scaleup.grid import FloatArray, Grid, grid_over
 
 _ROUND_OFF = 1e-12
 
@@ -19,7 +19,7 @@ def check_flow(flow: FlowField, geometry: Any = None, fill_volume: float | None 
 
     1 intervals are contiguous and cells ascending; 2 fill_end = fill_start - dt div(flux) to
     round-off; 3 fills are continuous between intervals and over the period; 4 0 <= fill <= vessel
-    volume of the cell (of the whole cell without `geometry`, or with a lab-frame 3-D one); 5 the
+    volume of the cell (of the whole cell without `geometry`); 5 the
     total is `fill_volume`; 6 no flux touches an inactive cell or the edge of the grid; 7
     directions are unit vectors or zero, shear rates >= 0, all numbers finite.
     """
@@ -133,12 +133,27 @@ def check_geometry(geometry: Any) -> None:
             f"{quadrature:.6g} m^3"
         )
     points = grid.corner_points().reshape(-1, geometry.dimension)
+    _check_slope(geometry, points[np.abs(wall.ravel()) < 2 * spacing], 0.01 * spacing)
     inside = points[wall.ravel() >= 0]
     radius = np.hypot(
         inside[:, 0] - geometry.axis.point[0], inside[:, 1] - geometry.axis.point[1]
     ).max()
     if abs(radius - geometry.reach) > 2 * spacing:
         raise ContractError(f"reach = {geometry.reach:g} m, but the inside reaches {radius:.4g} m")
+
+
+def _check_slope(geometry: Any, points: FloatArray, step: float) -> None:
+    """The signed distance grows by the way gone, but for kinks at edges and corners."""
+    slope = np.zeros(len(points))
+    for unit in np.eye(geometry.dimension):
+        ahead = geometry.signed_distance(points + step * unit)
+        slope += ((ahead - geometry.signed_distance(points - step * unit)) / (2 * step)) ** 2
+    wrong = float(np.mean(np.abs(np.sqrt(slope) - 1.0) > 0.05))
+    if wrong > 0.1:
+        raise ContractError(
+            f"signed_distance has not slope 1 at {wrong:.0%} of the points near the wall; it must "
+            "be the distance to the wall, in m"
+        )
 
 
 def check_mixing(backend: Any, scene: Any, concentration: Any, duration: float) -> None:

@@ -11,7 +11,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FLOORS = [
     {"errors", "files", "__init__"},
     {"grid", "units", "launch"},
-    {"cut_cells", "flow_field", "scene", "parallel", "decomposition", "progress"},
+    {"spread", "vessel_shape", "cut_cells"},
+    {"flow_field", "scene", "parallel", "decomposition", "progress"},
     {"stream_function", "registry", "output_folder"},
     {"api", "loading", "diffusion_tensor", "metrics"},
     {"testing", "config", "storage", "figures"},

@@ -8,7 +8,7 @@ import sys
 import time
 import xml.etree.ElementTree as ET
 
-import meshio
+import h5py
 import numpy as np
 import pytest
 
@@ -72,21 +72,27 @@ def test_a_run_folder_is_complete_and_its_report_has_every_key(scaleup, tmp_path
     assert same["mixing"] == mixing
 
 
-def test_paraview_can_open_the_results(scaleup, tmp_path):
+def test_xdmf_describes_what_the_hdf5_file_holds(scaleup, tmp_path):
     scaleup("simulate", *QUICK, "--output", "run")
     tree = ET.parse(tmp_path / "run" / "results.xdmf")
     grids = tree.findall(".//Grid[@GridType='Uniform']")
     assert [float(g.find("Time").get("Value")) for g in grids] == [0.0, 5.0]
     item = grids[-1].find("Attribute[@Name='concentration_1']/DataItem")
     file, _, path = item.text.partition(":")
-    import h5py
-
     with h5py.File(tmp_path / "run" / file, "r") as data:
         field = np.asarray(data[path])
         assert data[path].attrs["unit"] == "1"
-    assert "x".join(map(str, field.shape)) == "x".join(item.get("Dimensions").split())
+    assert list(field.shape) == [int(n) for n in item.get("Dimensions").split()]
     assert 0.45 < np.nanmean(field) < 0.55
-    assert "xdmf" in meshio.extension_to_filetypes[".xdmf"]
+    topology = grids[-1].find("Topology").get("Dimensions").split()
+    assert [int(n) - 1 for n in topology] == list(field.shape)
+
+
+def _is_under_way(checkpoint):
+    if not checkpoint.exists():
+        return False
+    with h5py.File(checkpoint, "r") as file:
+        return json.loads(file.attrs["state"])["point"] > 5
 
 
 def test_an_existing_run_is_kept_unless_told(scaleup, tmp_path):
@@ -104,6 +110,28 @@ def test_an_existing_run_is_kept_unless_told(scaleup, tmp_path):
     refused = scaleup("simulate", *QUICK, "--output", "mine", "--overwrite")
     assert refused.returncode == 2
     assert (tmp_path / "mine" / "thesis.txt").exists()
+    (tmp_path / "new.partial").mkdir()
+    (tmp_path / "new.partial" / "thesis.txt").write_text("precious")
+    refused = scaleup("simulate", *QUICK, "--output", "new", "--overwrite")
+    assert refused.returncode == 2
+    assert (tmp_path / "new.partial" / "thesis.txt").exists()
+    (tmp_path / ".run.old").mkdir()  # left by a run that was killed while it was put in place
+    (tmp_path / ".run.old" / "report.json").write_text("{}")
+    done = scaleup("simulate", *QUICK, "--output", "run", "--overwrite")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_failed_error_estimate_does_not_lose_the_run(scaleup, tmp_path):
+    done = scaleup(
+        "simulate", "--flow", "surface-layer", "--mixing", "lax-wendroff", "--set",
+        "mixing.form=paper", "--set", "grid.spacing=12 mm", "--revolutions", "0.1",
+        "--set", "accuracy.scrutiny=12", "--output", "run",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["error_estimate"]["segregation_intensity"] is None
+    assert "twice as large" in report["error_estimate"]["segregation_intensity_reason"]
+    assert any("cells thick" in sentence for sentence in report["warnings"])
 
 
 def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
@@ -120,7 +148,7 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
     )  # fmt: skip
     checkpoint = tmp_path / "run.partial" / "checkpoint.h5"
     deadline = time.monotonic() + 60
-    while not checkpoint.exists() and time.monotonic() < deadline:
+    while not _is_under_way(checkpoint) and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -152,6 +180,17 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
         (["missing.toml"], "the configuration missing.toml cannot be read: No such file"),
         (["broken.toml"], "the configuration broken.toml is not TOML"),
         (["--colour", "red"], "No such option"),
+        (
+            [
+                "--set",
+                "operation.loading.pattern=region",
+                "--set",
+                "operation.loading.radius=1 mm",
+                "--set",
+                "operation.loading.centre=['0 m']",
+            ],
+            "needs 2 coordinates",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -217,3 +256,30 @@ def test_the_configuration_page_is_current(monkeypatch):
     import configuration_page
 
     assert configuration_page.PAGE.read_text() == configuration_page.page()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--output", "."], "name a folder for the run"),
+        (["--output", "file", "--overwrite"], "is a file, not a folder"),
+        (["--output", "file/run"], "nothing can be written"),
+    ],
+)
+def test_an_output_that_cannot_be_is_said(scaleup, tmp_path, arguments, sentence):
+    (tmp_path / "file").write_text("mine")
+    done = scaleup("simulate", *QUICK, *arguments)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_region_that_misses_the_bed_is_said(scaleup):
+    done = scaleup(
+        "simulate", *QUICK, "--output", "run", "--set", "operation.loading.pattern=region",
+        "--set", "operation.loading.radius=1 mm",
+        "--set", "operation.loading.centre=['0 mm', '60 mm']",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "component 1 is 0% of the bed" in done.stderr

@@ -7,10 +7,13 @@ the mean over the step of c at the face, c + dt/2 c_t with c_t = -v.grad c:
     [N - S] = c_mN + c_pN - c_mS - c_pS,
 
 and diffusion D_xx area/dx (c_m - c_p) - D_xy area/(4 dy) [N - S]. Each cell gains what its
-neighbour loses, so mass is kept to round-off. For uniform v and D the stencil is that of Eq. 7
-with the sign of Eq. 8 and the 1/dx of Eq. 17 mended and D_xy kept, so its stability limit is the
-same; where v varies, the flux form holds the term -dt/2 (v.grad) v that Eq. 7 lacks, and the
-scheme is second order in space and time for D = 0. (With D > 0 terms of order D dt remain.)
+neighbour loses, so mass is kept to round-off (where the fill moves, to the first order in its
+change over an interval of the flow: the mean fill is taken for the cell's volume).
+
+For uniform v and D the stencil is that of Eq. 7 with the sign of Eq. 8 and the 1/dx of Eq. 17
+mended and D_xy kept, so its stability limit is the same. Where v varies, the flux form holds the
+term -dt/2 (v.grad) v that Eq. 7 lacks, and the scheme is second order in space and time for D = 0.
+(With D > 0 terms of order D dt remain.)
 
 Faces of cut cells are treated upwind, c_f = c of the cell that the flux comes from, with D_nn on
 the area times the smaller fill fraction. A cut cell into which a step brings more than it holds
@@ -24,10 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray
+from scaleup.api import FULL, BoolArray, FloatArray
 from scaleup_lax_wendroff.stencil import NE, NW, SE, SW, E, N, S, W
-
-_FULL = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class LocalFlow:
     @property
     def full(self) -> BoolArray:
         """Cells full of material."""
-        result: BoolArray = self.fill >= _FULL * self.cell_volume
+        result: BoolArray = self.fill >= FULL * self.cell_volume
         return result
 
     def courant_numbers(self, dt: float) -> tuple[FloatArray, FloatArray]:

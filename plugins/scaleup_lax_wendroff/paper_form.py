@@ -83,25 +83,6 @@ def weights(nu: FloatArray, mu: FloatArray) -> FloatArray:
     return result
 
 
-def extend(grid: Grid, known: IntArray, values: FloatArray, wanted: IntArray) -> FloatArray:
-    """Values (m, k) of `known` cells carried layer by layer to all `wanted` cells: (m, n).
-
-    Each new cell takes the mean of the known cells among the eight around it.
-    """
-    have = _padded(grid, known, np.ones(len(known), dtype=bool))
-    want = _padded(grid, wanted, np.ones(len(wanted), dtype=bool))
-    dense = np.stack([_padded(grid, known, component) for component in values])
-    while np.any(want & ~have):
-        count = _sum_around(have.astype(float))
-        new = want & ~have & (count > 0)
-        if not np.any(new):  # wanted cells apart from the bed: carry on through the empty ones
-            new = ~have & (count > 0)
-        for component in dense:
-            component[new] = _sum_around(component * have)[new] / count[new]
-        have |= new
-    return np.stack([component[_INNER].ravel()[wanted] for component in dense])
-
-
 def _step_inward(inner: BoolArray) -> IntArray:
     """Offset (rows y and x) to the inner node best aligned with the sum of offsets to all."""
     beside = {offset: _shifted(inner, offset) for offset in _AROUND}
@@ -126,10 +107,6 @@ def _padded(grid: Grid, cells: IntArray, values: NDArray) -> NDArray:
 def _flat(grid: Grid, at: IntArray) -> IntArray:
     flat: IntArray = np.ravel_multi_index(tuple(at - _PAD), grid.shape)
     return flat
-
-
-def _sum_around(values: FloatArray) -> FloatArray:
-    return np.sum([_shifted(values, offset) for offset in _AROUND], axis=0)
 
 
 def _shifted(values: NDArray, offset: tuple[int, ...]) -> NDArray:

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scaleup.api import FloatArray, InputError, IntArray, Interval, Ledger, MixingScene, RunError
+from scaleup.api import (
+    FloatArray,
+    InputError,
+    IntArray,
+    Interval,
+    Ledger,
+    MixingScene,
+    RunError,
+    spread_outwards,
+)
 from scaleup_lax_wendroff import corrected_form, paper_form, stencil
 from scaleup_lax_wendroff.stability import stability_number
 
@@ -63,7 +72,7 @@ class Bed:
         return nu * full, mu * full
 
     def largest_step(self) -> float:
-        """Largest dt (s) that meets the sufficient condition at all updated cells of all ranks."""
+        """Largest dt (s, at most 1) that meets the sufficient condition on all ranks."""
 
         def worst(dt: float) -> float:
             number = stability_number(*self._courant_numbers(dt)).ravel()
@@ -133,6 +142,11 @@ class Transport:
         grid = scene.flow.grid
         if grid.dimension != 2:
             raise InputError("mixing.name = 'lax-wendroff': this backend works in 2-D only")
+        if options.form == "paper" and len(concentration) != 2:
+            raise InputError(
+                f"mixing.form = 'paper': clips two components, not {len(concentration)}; "
+                "use 'corrected'"
+            )
         self.scene, self.options, self.split = scene, options, scene.decomposition
         self._fields = [
             (self.split.field(), self.split.field()) for _ in range(len(concentration) - 1)
@@ -163,7 +177,7 @@ class Transport:
 
     def concentration(self, interval: Interval) -> FloatArray:
         """Node values, carried to the bed's cells that are not nodes; sums to 1 in each."""
-        moved = paper_form.extend(
+        moved = spread_outwards(
             self.scene.flow.grid, self._bed.known, self._known_values(), interval.cells
         )
         return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
@@ -174,7 +188,7 @@ class Transport:
         interval = self.scene.flow.intervals[index]
         self._bed = self._bed_of(interval)
         self._stable_dt = self._bed.largest_step()
-        spread = paper_form.extend(self.scene.flow.grid, cells, values, interval.cells)
+        spread = spread_outwards(self.scene.flow.grid, cells, values, interval.cells)
         local = self.split.to_local(interval.cells, spread)
         for (now, _), start in zip(self._fields, local, strict=True):
             now.array[...] = start
@@ -201,8 +215,9 @@ class Transport:
 
     def _look(self, ledger: Ledger, time: float, dt: float) -> None:
         """Bounds so far; stops a run whose values only growth can explain (collective)."""
-        for now, _ in self._fields:
-            low, high = stencil.bounds(now.array.ravel(), self._bed.runs)
+        moved = [now.array.ravel() for now, _ in self._fields]
+        for values in (*moved, 1.0 - np.sum(moved, axis=0)):
+            low, high = stencil.bounds(values, self._bed.runs)
             ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
         ledger.minimum = -self.split.largest(-ledger.minimum)
         ledger.maximum = self.split.largest(ledger.maximum)

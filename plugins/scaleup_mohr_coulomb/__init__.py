@@ -7,20 +7,21 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from scaleup.api import (
+    GRAVITY,
     FlowField,
     Geometry,
     InputError,
     Memory,
-    Operation,
     PluginOptions,
     Progress,
     Scene,
+    is_circle,
     units,
 )
 
 
 class MohrCoulomb:
-    """Two-phase level-set flow of a Mohr-Coulomb powder in a vessel's cross-section.
+    """Two-phase level-set flow of a Mohr-Coulomb powder in a drum's cross-section.
 
     Unset options follow the rules in `parameters.Discretisation`, none of which has seen
     validation data.
@@ -37,16 +38,25 @@ class MohrCoulomb:
         """s; default sqrt(reach/g)/20"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
         """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
-        time_limit: units.Time = 12.0
-        """s of flow after which the run stops anyway"""
+        time_limit: units.Time | None = None
+        """s of flow after which the run stops anyway; default 140 sqrt(reach/g)"""
 
     def __init__(self, options: Options):
         self.options = options
 
-    def check(self, geometry: Geometry, operation: Operation) -> None:
-        """The solver works on cross-sections."""
-        if geometry.dimension != 2:
-            raise InputError("flow.name = 'mohr-coulomb': this solver works in 2-D only")
+    def check(self, geometry: Geometry, speed: float) -> None:
+        """The wall must look the same at every phase, and the powder must not centrifuge."""
+        if not is_circle(geometry):
+            raise InputError(
+                "flow.name = 'mohr-coulomb': the steady solver holds for a circular cross-section "
+                "about the axis (such as geometry 'drum') only"
+            )
+        froude = speed**2 * geometry.reach / GRAVITY
+        if froude >= 1.0:
+            raise InputError(
+                f"operation.speed = {speed:.4g} rad/s: the Froude number {froude:.3g} must be "
+                "below 1; such a bed centrifuges"
+            )
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
         """Solve for the steady bed (kept without the grid, so that any grid can reuse it)."""

@@ -9,10 +9,12 @@ import ngsolve as ngs
 import numpy as np
 
 from scaleup.api import (
+    GRAVITY,
     FloatArray,
     FlowField,
     Geometry,
     Grid,
+    RunError,
     Scene,
     fill_to_volume,
     fit_stream_function,
@@ -23,6 +25,7 @@ from scaleup_mohr_coulomb.steady import mid_bed, sample, surface_speed
 if TYPE_CHECKING:
     from scaleup_mohr_coulomb.steady import SteadyBed
 
+_CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
 
 
@@ -68,6 +71,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         angular_velocity=bed.angular_velocity,
         lift=bed.angle,
         summary=_summary(bed) | {"projection_change": change},
+        warnings=_warnings(bed, scene),
     )
 
 
@@ -126,7 +130,13 @@ def _kept_inside(geometry: Geometry, points: FloatArray) -> FloatArray:
 
 
 def _summary(bed: SteadyBed) -> dict[str, Any]:
-    middle = mid_bed(bed)
+    try:
+        middle = mid_bed(bed)
+    except IndexError:
+        raise RunError(
+            "the bed at mid-vessel has no free surface or no layer that flows: is the speed in the "
+            "rolling range?"
+        ) from None
     _, speed = surface_speed(bed)
     return {
         "surface_angle_deg": math.degrees(bed.angle),
@@ -141,7 +151,25 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "axis_to_surface": middle.axis_distance,
         "volume_drift": bed.area_correction,
         "swings_averaged": bed.swings,
-        "steady_within_tolerance": str(bed.converged).lower(),
+        "surface_angle_source": "solved; the error is the scatter between swings",
+        "steady_within_tolerance": bed.converged,
         "time_steps": bed.steps,
         "time_stepping_s": bed.seconds,
     }
+
+
+def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
+    """Sentences on where the model or its mean may not hold."""
+    found = []
+    froude = bed.angular_velocity**2 * scene.geometry.reach / GRAVITY
+    if froude > _CASCADING:
+        found.append(
+            f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "
+            "cataracts, which a single free surface does not show"
+        )
+    if not bed.converged:
+        found.append(
+            f"the surface angle is known to {math.degrees(bed.angle_error):.2f} deg only: the time "
+            "limit came first; raise flow.time_limit to go on"
+        )
+    return tuple(found)

@@ -128,5 +128,5 @@ class SteadyOptions:
     """Amplitude below which the bed no longer swings, rad."""
     settled_periods: int = 3
     """Natural periods of the bed averaged over, at least, once it no longer swings."""
-    time_limit: float = 12.0
-    """Time after which the run stops anyway, s.  A swing of the paper's drum lasts 0.75 s."""
+    time_limit: float = math.inf
+    """Time of flow after which the run stops anyway, s.  Rule: 140 sqrt(R/g), about 16 swings."""

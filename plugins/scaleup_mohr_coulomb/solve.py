@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from scaleup_mohr_coulomb import MohrCoulomb
 
 _SECONDS_BETWEEN_CHECKPOINTS = 20.0
+_TIME_LIMIT = 140.0  # sqrt(reach/g); the bed's swings last about 9
 _FIELDS = ("velocity", "level_set")
 
 
@@ -31,7 +33,7 @@ def steady_bed(
     Raises RunError with one sentence if the flow diverges or never becomes steady.
     """
     area = scene.fill_volume / scene.geometry.depth
-    drive = Drive(bed_area=area, angular_velocity=scene.operation.speed)
+    drive = Drive(bed_area=area, angular_velocity=scene.speed)
     numerics = Discretisation.by_rule(
         scene.material,
         drive,
@@ -40,7 +42,8 @@ def steady_bed(
         options.coarse_size,
         options.time_step,
     )
-    inputs = {"scene": dict(scene.inputs), "options": options.model_dump(mode="json")}
+    sizes = options.model_dump(mode="json", include={"fine_size", "coarse_size", "time_step"})
+    inputs = {"scene": dict(scene.inputs), "sizes": sizes}
     mesh = cross_section_mesh(
         scene.geometry.solid(),
         numerics.coarse_size,
@@ -50,7 +53,9 @@ def steady_bed(
         numerics.half_band,
     )
     vertices = np.array([vertex.point for vertex in mesh.vertices])
-    finished, unfinished = inputs | {"stage": "steady"}, inputs | {"stage": "checkpoint"}
+    # what the run goes through does not depend on when it stops: a checkpoint outlives the limit
+    unfinished = inputs | {"stage": "checkpoint"}
+    finished = inputs | {"stage": "steady", "angle_tolerance": options.angle_tolerance}
     known = memory.recall(finished)
     if known is not None and np.array_equal(known["vertices"], vertices):
         progress(1.0, "steady bed reused from the store")
@@ -65,24 +70,34 @@ def steady_bed(
         progress(0.0, f"resumed at t = {flow.time:.2f} s")
     last_kept = time.monotonic()
 
+    def keep() -> None:
+        arrays = {"vertices": vertices}
+        arrays |= {f"flow.{name}": data for name, data in flow.state().items()}
+        arrays |= {f"average.{name}": data for name, data in average.state().items()}
+        memory.keep(unfinished, arrays)
+
     def keep_and_report(fraction: float, message: str) -> None:
         nonlocal last_kept
         if time.monotonic() - last_kept > _SECONDS_BETWEEN_CHECKPOINTS:
             last_kept = time.monotonic()
-            arrays = {"vertices": vertices}
-            arrays |= {f"flow.{name}": data for name, data in flow.state().items()}
-            arrays |= {f"average.{name}": data for name, data in average.state().items()}
-            memory.keep(unfinished, arrays)
+            keep()
         progress(fraction, message)
 
-    steady = SteadyOptions(angle_tolerance=options.angle_tolerance, time_limit=options.time_limit)
+    limit = options.time_limit or _TIME_LIMIT * math.sqrt(scene.geometry.reach / drive.gravity)
+    steady = SteadyOptions(angle_tolerance=options.angle_tolerance, time_limit=limit)
     try:
         bed = run_to_steady(flow, steady, keep_and_report, average)
-    except (FlowDiverged, NotSteady) as error:
+    except FlowDiverged as error:
         memory.forget(unfinished)
         raise RunError(str(error)) from error
-    memory.keep(finished, {"vertices": vertices} | _to_arrays(bed))
-    memory.forget(unfinished)
+    except NotSteady as error:
+        keep()
+        raise RunError(str(error)) from error
+    if bed.converged:
+        memory.keep(finished, {"vertices": vertices} | _to_arrays(bed))
+        memory.forget(unfinished)
+    else:
+        keep()
     return bed
 
 

@@ -137,7 +137,9 @@ class SwingAverage:
 
     def mean_fields(self, window: Window) -> NDArray[Any]:
         """Mean of velocity and level-set coefficients, the window rounded to whole blocks."""
+        whole = len(self.times) // self.block  # the block under way is left out
         first, last = round(window.first / self.block), round(window.last / self.block)
+        last = min(last, whole)
         mean: NDArray[Any] = np.sum(self._sums[first:last], axis=0)
         mean /= (last - first) * self.block
         return mean
@@ -251,7 +253,8 @@ def run_to_steady(
     expected = average.period * (_START_UP_PERIODS + _SWING_PERIODS * options.minimum_swings)
     check = max(1, round(average.period / (_CHECKS_PER_PERIOD * flow.discretisation.time_step)))
     window = average.window(options)
-    while flow.time < options.time_limit and not _known(window, options):
+    last_time = flow.discretisation.start_angle / flow.drive.angular_velocity + options.time_limit
+    while flow.time < last_time and not _known(window, options):
         for _ in range(check):
             flow.step()
             average.record(flow)

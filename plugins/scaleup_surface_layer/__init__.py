@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from scaleup.api import (
+    GRAVITY,
     FlowField,
     Geometry,
     InputError,
     Memory,
-    Operation,
     PluginOptions,
     Progress,
     Scene,
+    is_circle,
     units,
 )
 
@@ -43,12 +43,18 @@ class SurfaceLayer:
     def __init__(self, options: Options):
         self.options = options
 
-    def check(self, geometry: Geometry, operation: Operation) -> None:
-        """The closed form is that of a circular cross-section."""
-        if geometry.dimension != 2 or not _is_circle(geometry):
+    def check(self, geometry: Geometry, speed: float) -> None:
+        """The closed form is that of a rolling bed in a circular cross-section."""
+        if not is_circle(geometry):
             raise InputError(
                 "flow.name = 'surface-layer': the closed form holds for a circular cross-section "
-                "(such as geometry 'drum') only"
+                "about the axis (such as geometry 'drum') only"
+            )
+        froude = speed**2 * geometry.reach / GRAVITY
+        if froude >= 0.5:
+            raise InputError(
+                f"operation.speed = {speed:.4g} rad/s: the Froude number {froude:.3g} must be "
+                "below 0.5; such a bed centrifuges and has no surface layer"
             )
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
@@ -58,10 +64,3 @@ class SurfaceLayer:
         field = drum_flow(scene, self.options)
         progress(1.0, "surface layer in closed form")
         return field
-
-
-def _is_circle(geometry: Geometry) -> bool:
-    """Whether the wall is everywhere at the vessel's reach from an axis through the origin."""
-    angle = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
-    ring = geometry.reach * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return bool(np.abs(geometry.signed_distance(ring)).max() < 1e-6 * geometry.reach)

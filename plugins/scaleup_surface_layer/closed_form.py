@@ -7,9 +7,9 @@ which the layer carries down. With zeta = depth/delta the stream function
 
     psi = omega/2 (R^2 - r^2) - q(s) (1 - zeta)^2        (the second term for zeta < 1 only)
 
-is 0 on the wall and on the surface, gives a velocity linear in depth relative to rigid rotation,
-and joins it continuously at zeta = 1. Closures of the thickness (Khakhar et al. 1997; Orpe &
-Khakhar 2001):
+(delta no more than the depth of the bed) is 0 on the wall and on the surface, gives a velocity
+linear in depth relative to rigid rotation, and joins it continuously at zeta = 1. Closures of the
+thickness (Khakhar et al. 1997; Orpe & Khakhar 2001):
 
     shear-rate   delta = sqrt(2 q / shear_rate)             (an elliptic layer)
     parabolic    delta = delta0 (1 - s^2/L^2)               (uniform surface speed omega L^2/delta0)
@@ -21,6 +21,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from scaleup.api import (
     GRAVITY,
@@ -33,6 +34,10 @@ from scaleup.api import (
 
 if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
+
+
+_ROLLING = 1e-2  # Froude number beyond which inertia bends the surface
+_CHORD_END = 1e-3  # where the chord counts as ended: 1 - s^2/L^2
 
 
 class RollingBed:
@@ -66,7 +71,7 @@ class RollingBed:
         return -points @ normal - self.distance
 
     def layer_thickness(self, s: FloatArray) -> FloatArray:
-        """delta(s), m; 0 beyond the chord."""
+        """delta(s) of the closure, m; 0 beyond the chord. The bed may be less deep at its ends."""
         inside = np.maximum(1.0 - s**2 / self.half_chord_squared, 0.0)
         if self.closure == "parabolic":
             return self.thickness * inside
@@ -77,7 +82,8 @@ class RollingBed:
         s = -points @ np.array([math.cos(self.angle), math.sin(self.angle)])
         depth = self.depth_below_surface(points)
         radius_squared = (points**2).sum(axis=-1)
-        delta = np.maximum(self.layer_thickness(s), 1e-30)
+        bed_depth = np.sqrt(np.maximum(self.radius**2 - s**2, 0.0)) - self.distance
+        delta = np.maximum(np.minimum(self.layer_thickness(s), bed_depth), 1e-30)
         flux = 0.5 * self.omega * np.maximum(self.half_chord_squared - s**2, 0.0)
         in_layer = np.maximum(1.0 - depth / delta, 0.0)
         return 0.5 * self.omega * (self.radius**2 - radius_squared) - flux * in_layer**2
@@ -128,7 +134,7 @@ def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
     )
     return RollingBed(
         radius,
-        scene.operation.speed,
+        scene.speed,
         -0.5 * (low + high),
         math.atan(material.friction),
         options.closure,
@@ -147,8 +153,11 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
     psi = np.where((depth > 0) & (wall > 0), bed.stream_function(corners), 0.0)
     centres = grid.centre_points().reshape(*grid.shape, 2)
     shear_rate = np.where(fill > 0, bed.shear_rate_at(centres, 0.25 * grid.spacing[0]), 0.0)
-    # second differences across the surface's end points, where delta -> 0, are not a shear rate
-    limit = 2 * bed.midbed_flux / bed.thickness**2
+    # second differences where the layer meets the wall are kinks of psi, not a shear rate
+    s = -centres @ np.array([math.cos(bed.angle), math.sin(bed.angle)])
+    inside = np.maximum(1.0 - s**2 / bed.half_chord_squared, _CHORD_END)
+    thickness = np.maximum(bed.layer_thickness(s), bed.thickness * _CHORD_END)
+    closure_rate = 2 * bed.midbed_flux * inside / thickness**2
     normal = np.array([-math.sin(bed.angle), math.cos(bed.angle)])
     depths = np.linspace(0.0, bed.radius - bed.distance, 2001)
     midbed = -(bed.distance + depths[:, None]) * normal
@@ -158,16 +167,35 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
         grid,
         psi,
         fill,
-        np.minimum(shear_rate, limit),
+        np.minimum(shear_rate, closure_rate),
         axis=scene.geometry.axis,
         angular_velocity=bed.omega,
         lift=bed.angle,
         summary={
             "surface_angle_deg": math.degrees(bed.angle),
+            "surface_angle_source": "input: the friction angle",
             "surface_speed_max": float(streamwise[0]),
             "active_layer_thickness": reversal,
-            "solid_body_ratio": 1.0,
-            "flux_midbed": float(np.trapz(np.maximum(streamwise, 0.0), depths)),
-            "volume_drift": 0.0,
+            "solid_body_ratio": None,
+            "solid_body_ratio_reason": "the model assumes rigid rotation below the layer",
+            "flux_midbed": float(trapezoid(np.maximum(streamwise, 0.0), depths)),
+            "volume_drift": None,
+            "volume_drift_reason": "the bed is in closed form",
         },
+        warnings=_warnings(scene, bed),
     )
+
+
+def _warnings(scene: Scene, bed: RollingBed) -> tuple[str, ...]:
+    """Sentences on where the model's assumptions do not hold."""
+    found = []
+    froude = bed.omega**2 * bed.radius / GRAVITY
+    if froude > _ROLLING:
+        found.append(
+            f"the Froude number is {froude:.2g}: beyond {_ROLLING:g} the surface is no longer "
+            "plane and the surface-layer model overstates its flatness"
+        )
+    depth = bed.radius - bed.distance
+    if bed.thickness > 0.5 * depth:
+        found.append(f"the layer is {bed.thickness / depth:.0%} of the bed's depth: it is not thin")
+    return tuple(found)

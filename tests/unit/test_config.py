@@ -48,6 +48,19 @@ def test_another_plugin_drops_the_options_of_the_first(tmp_path):
     assert config.flow == {"name": "surface-layer", "closure": "parabolic"}
 
 
+def test_a_loading_given_by_name_merges_with_its_details(tmp_path):
+    shares = "operation.loading.shares=[0.3,0.7]"
+    for order in (
+        ["operation.loading=top-bottom", shares],
+        [shares, "operation.loading=top-bottom"],
+    ):
+        loading = compose(None, order, FAST).operation.loading
+        assert (loading.pattern, loading.shares) == ("top-bottom", (0.3, 0.7))
+    file = tmp_path / "run.toml"
+    file.write_text('[operation]\nloading = "top-bottom"\n', encoding="utf-8")
+    assert compose(file, [shares], FAST).operation.loading.pattern == "top-bottom"
+
+
 def test_fill_in_every_kind_is_the_same_bed():
     base = compose(None, [], FAST)
     kinds = fill_in_all_kinds(base)
@@ -77,6 +90,11 @@ def test_cells_choose_the_spacing():
         ("flow.name=magic", "flow.name = 'magic': no such flow; installed are: mohr-coulomb"),
         ("operation.loading=diagonal", "operation.loading.pattern = 'diagonal'"),
         ("operation.loading.radius='1 mm'", "takes no centre and no radius"),
+        ("operation.speed='0.1 Hz'", "wrong unit Hz; expected an angle"),
+        ("geometry.diameter='1,5 mm'", "geometry.diameter = '1,5 mm': not a quantity"),
+        ("operation.speed='2000 rpm'", "Froude number"),
+        ("output.metrics_every=1e-12", "output.metrics_every = 1e-12"),
+        ("grid.spacing='1 um'", "more than 2e+09"),
         ("grid.spacing=banana", "grid.spacing = 'banana': not a quantity"),
         ("k1=3", "--set 'k1=3': write it as section.key=value"),
         ("material.bulk_density=3000", "must be below grain_density"),

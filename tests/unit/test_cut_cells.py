@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scaleup.cut_cells import cut_fraction, fill_to_volume
+from scaleup.errors import InputError
 from scaleup.grid import Grid, grid_over
 
 
@@ -43,5 +44,5 @@ def test_fill_holds_the_volume_to_round_off_and_never_more_than_the_vessel():
     vessel = cut_fraction(wall) * grid.cell_volume
     assert fill.sum() == pytest.approx(1.234, rel=1e-14)
     assert np.all(fill <= vessel * (1 + 1e-13))
-    with pytest.raises(ValueError, match="does not fit"):
+    with pytest.raises(InputError, match="does not fit"):
         fill_to_volume(grid, level, wall, 4.0)

@@ -7,7 +7,7 @@ import pytest
 
 from scaleup.config import compose, fill_volume
 from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.errors import InputError
+from scaleup.errors import ContractError, InputError
 from scaleup.flow_field import Axis, FlowField, Interval
 from scaleup.grid import Grid
 from scaleup.loading import initial_concentration
@@ -82,6 +82,8 @@ def test_layers_share_the_volume_as_asked():
 def test_a_region_holds_its_area():
     flow = sloshing(columns=40, rows=30)
     loading = Loading(pattern="region", centre=("0.2 m", "0.15 m"), radius="0.08 m")
+    with pytest.raises(InputError, match="there is nothing to blend"):
+        initial_concentration(loading.model_copy(update={"radius": 5.0}), flow)
     c = initial_concentration(loading, flow)
     volume = c[0] @ flow.intervals[0].fill_start
     assert volume == pytest.approx(math.pi * 0.08**2 * flow.grid.depth, rel=5e-3)
@@ -120,7 +122,7 @@ def test_lacey_is_one_for_a_random_mixture():
     sampler = Sampler(flow.grid, part, 0.0, edge=flow.grid.spacing[0])
     grains = 20
     c = np.random.default_rng(2).binomial(grains, 0.5, flow.grid.cells) / grains
-    state = sampler.measure(c, grains / flow.grid.cell_volume)
+    state = sampler.measure(c, grains / sampler.sample_volume)
     assert state.lacey == pytest.approx(1.0, abs=0.01)
 
 
@@ -138,6 +140,10 @@ def test_the_drum_is_what_it_says():
     config = compose(None, [], {"flow": {"name": "surface-layer"}})
     drum = config.plugin("geometry")
     check_geometry(drum)
+    true_distance = drum.signed_distance
+    drum.signed_distance = lambda points: 7 * true_distance(points)
+    with pytest.raises(ContractError, match="slope 1"):
+        check_geometry(drum)
     assert drum.volume == pytest.approx(math.pi * 0.07**2 * 0.01)
     assert drum.volume_below(0.0) == pytest.approx(drum.volume / 2)
     assert fill_volume(config) / drum.volume == pytest.approx(0.31192, abs=1e-5)
