@@ -28,7 +28,8 @@ import sys
 from scaleup import parallel
 from scaleup.config import compose
 comm = parallel.start()
-from scaleup.pipeline import mix, obtain_flow
+from scaleup.blending import mix
+from scaleup.flow_source import obtain_flow
 config = compose(None, sys.argv[1:], {"flow": {"name": "surface-layer"}})
 flow = obtain_flow(config, comm).flow
 mix(config, flow, comm)

@@ -200,13 +200,6 @@ def fill_in_all_kinds(config: RunConfig) -> dict[str, float]:
     }
 
 
-def froude_number(config: RunConfig) -> float:
-    """Fr = omega^2 R / g with R the vessel's reach from the axis."""
-    from scaleup.scene import GRAVITY
-
-    return config.operation.speed**2 * float(config.plugin("geometry").reach) / GRAVITY
-
-
 def grid_spacing(config: RunConfig) -> float:
     """Edge of a cell, m; from the wanted number of active cells if that was given."""
     if config.grid.spacing is not None:

@@ -9,20 +9,20 @@ import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jinja2
 import numpy as np
 
 import scaleup
 from scaleup import figures
-from scaleup.config import RunConfig, fill_in_all_kinds, froude_number
+from scaleup.blending import Blend
+from scaleup.config import RunConfig, fill_in_all_kinds
 from scaleup.files import write_text
+from scaleup.flow_source import FlowOutcome
 from scaleup.metrics import blend_time, decay_rate
 from scaleup.storage import Results
-
-if TYPE_CHECKING:
-    from scaleup.pipeline import Blend, FlowOutcome
+from scaleup.vessel_shape import froude_number
 
 SCHEMA = "scaleup-report/1"
 _FLOW_KEYS = (
@@ -106,7 +106,7 @@ def compile_report(
         },
         "operation": {
             "speed_rad_per_s": config.operation.speed,
-            "froude_number": froude_number(config),
+            "froude_number": froude_number(config.plugin("geometry"), config.operation.speed),
             "froude_definition": "omega^2 R / g, R the reach of the vessel from the axis",
             "fill": fill_in_all_kinds(config),
             "lift_revolutions": flow.lift / (2 * math.pi),

@@ -7,15 +7,13 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from scaleup.api import (
-    GRAVITY,
     FlowField,
     Geometry,
-    InputError,
     Memory,
     PluginOptions,
     Progress,
     Scene,
-    is_circle,
+    require_drum,
     units,
 )
 
@@ -46,17 +44,7 @@ class MohrCoulomb:
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """The wall must look the same at every phase, and the powder must not centrifuge."""
-        if not is_circle(geometry):
-            raise InputError(
-                "flow.name = 'mohr-coulomb': the steady solver holds for a circular cross-section "
-                "about the axis (such as geometry 'drum') only"
-            )
-        froude = speed**2 * geometry.reach / GRAVITY
-        if froude >= 1.0:
-            raise InputError(
-                f"operation.speed = {speed:.4g} rad/s: the Froude number {froude:.3g} must be "
-                "below 1; such a bed centrifuges"
-            )
+        require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
         """Solve for the steady bed (kept without the grid, so that any grid can reuse it)."""

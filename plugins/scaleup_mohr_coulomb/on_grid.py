@@ -9,7 +9,6 @@ import ngsolve as ngs
 import numpy as np
 
 from scaleup.api import (
-    GRAVITY,
     FloatArray,
     FlowField,
     Geometry,
@@ -19,6 +18,7 @@ from scaleup.api import (
     fill_to_volume,
     fit_stream_function,
     flow_from_stream_function,
+    froude_number,
 )
 from scaleup_mohr_coulomb.steady import mid_bed, sample, surface_speed
 
@@ -161,7 +161,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
 def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
     """Sentences on where the model or its mean may not hold."""
     found = []
-    froude = bed.angular_velocity**2 * scene.geometry.reach / GRAVITY
+    froude = froude_number(scene.geometry, scene.speed)
     if froude > _CASCADING:
         found.append(
             f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "

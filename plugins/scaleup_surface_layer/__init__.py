@@ -7,15 +7,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from scaleup.api import (
-    GRAVITY,
     FlowField,
     Geometry,
-    InputError,
     Memory,
     PluginOptions,
     Progress,
     Scene,
-    is_circle,
+    require_drum,
     units,
 )
 
@@ -45,17 +43,7 @@ class SurfaceLayer:
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """The closed form is that of a rolling bed in a circular cross-section."""
-        if not is_circle(geometry):
-            raise InputError(
-                "flow.name = 'surface-layer': the closed form holds for a circular cross-section "
-                "about the axis (such as geometry 'drum') only"
-            )
-        froude = speed**2 * geometry.reach / GRAVITY
-        if froude >= 0.5:
-            raise InputError(
-                f"operation.speed = {speed:.4g} rad/s: the Froude number {froude:.3g} must be "
-                "below 0.5; such a bed centrifuges and has no surface layer"
-            )
+        require_drum("surface-layer", geometry, speed, froude_below=0.5)
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
         """See `closed_form.drum_flow`; takes no time worth storing parts of."""

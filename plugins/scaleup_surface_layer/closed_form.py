@@ -30,6 +30,7 @@ from scaleup.api import (
     Scene,
     fill_to_volume,
     flow_from_stream_function,
+    froude_number,
 )
 
 if TYPE_CHECKING:
@@ -189,7 +190,7 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
 def _warnings(scene: Scene, bed: RollingBed) -> tuple[str, ...]:
     """Sentences on where the model's assumptions do not hold."""
     found = []
-    froude = bed.omega**2 * bed.radius / GRAVITY
+    froude = froude_number(scene.geometry, scene.speed)
     if froude > _ROLLING:
         found.append(
             f"the Froude number is {froude:.2g}: beyond {_ROLLING:g} the surface is no longer "

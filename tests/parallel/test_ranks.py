@@ -42,7 +42,8 @@ import numpy as np
 from scaleup import parallel
 from scaleup.config import compose
 comm = parallel.start()
-from scaleup.pipeline import mix, obtain_flow
+from scaleup.blending import mix
+from scaleup.flow_source import obtain_flow
 from scaleup.storage import Results
 
 config = compose(None, ["grid.spacing='1 mm'", "operation.revolutions=0.5", *sys.argv[2:]],

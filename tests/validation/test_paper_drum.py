@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from scaleup.blending import mix
 from scaleup.config import compose
-from scaleup.pipeline import mix, obtain_flow
+from scaleup.flow_source import obtain_flow
 
 pytestmark = pytest.mark.slow
 

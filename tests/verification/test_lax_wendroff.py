@@ -7,11 +7,12 @@ import pytest
 from mpi4py import MPI
 
 from scaleup.api import Axis, FlowField, Grid, MixingScene, interval_from_dense
+from scaleup.blending import mix
 from scaleup.config import compose, fill_volume
 from scaleup.decomposition import Decomposition
 from scaleup.diffusion_tensor import diffusion_tensor
 from scaleup.errors import RunError
-from scaleup.pipeline import mix, obtain_flow
+from scaleup.flow_source import obtain_flow
 from scaleup.scene import Diffusion
 from scaleup.testing import check_flow, check_mixing
 from scaleup_lax_wendroff import LaxWendroff

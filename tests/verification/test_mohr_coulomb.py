@@ -10,7 +10,7 @@ from netgen.occ import Circle, Pnt
 
 from scaleup.config import compose, fill_volume
 from scaleup.errors import RunError
-from scaleup.pipeline import obtain_flow
+from scaleup.flow_source import obtain_flow
 from scaleup.scene import Material
 from scaleup.testing import check_flow
 from scaleup_mohr_coulomb.level_set import LevelSet, Transport
