@@ -105,7 +105,10 @@ def compile_report(
             "reasons": _reasons(config, outcome),
         },
         "operation": {
+            "geometry": config.geometry["name"],
+            "loading": config.operation.loading.pattern,
             "speed_rad_per_s": config.operation.speed,
+            "speed_rpm": config.operation.speed * 60 / (2 * math.pi),
             "froude_number": froude_number(config.plugin("geometry"), config.operation.speed),
             "froude_definition": "omega^2 R / g, R the reach of the vessel from the axis",
             "fill": fill_in_all_kinds(config),
