@@ -74,7 +74,7 @@ def mix(
     period = config.operation.period
     # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
     waited = flow.lift / (2 * math.pi) if config.operation.start == "level-bed" else 0.0
-    points = _curve_points(config, waited)
+    points = _curve_points(config)
     blend, first, index, local = Blend(), 0, 0, 0.0
     concentration = initial_concentration(config.operation.loading, flow)
     resumed = checkpoint is not None and checkpoint.exists()
@@ -163,8 +163,8 @@ def _profile(
     blend.profiles[f"{revolution:.4f}"] = [depth.tolist(), values.tolist()]
 
 
-def _curve_points(config: RunConfig, waited: float) -> list[float]:
-    """Revolutions at which the blend is measured: 0, the steady multiples, and the last."""
+def _curve_points(config: RunConfig) -> list[float]:
+    """Revolutions at which the blend is measured: multiples of the asked steps, and the last."""
     last, every = config.operation.revolutions, config.output.metrics_every
     points = {round(n * every, 9) for n in range(math.floor(last / every + 1e-9) + 1)}
     snapshots = config.output.snapshots_every
