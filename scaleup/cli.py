@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import json
 import logging
+import os
 import sys
+import textwrap
 import time
 import warnings
 from collections.abc import Sequence
@@ -19,6 +23,8 @@ from scaleup.errors import InputError, ScaleupError
 from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
 
 log = logging.getLogger("scaleup")
+
+_SHOWN_REVOLUTIONS = (0, 1, 2, 3, 5, 10, 20, 50, 100)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -187,18 +193,16 @@ def _run(config: Any, folder: Path, *, overwrite: bool, resume: bool) -> None:
 
 
 def _print_summary(folder: Path) -> None:
-    import json
-
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     flow, mixing, timing = report["flow"], report["mixing"], report["timing"]
-    angle = flow["surface_angle_deg"]
-    click.echo(f"surface angle        {angle:.2f} deg" if angle is not None else "")
-    for wanted in (0, 1, 2, 3, 5, 10, 20, 50, 100):
-        for revolution, value in zip(
-            mixing["revolutions"], mixing["segregation_intensity"], strict=True
-        ):
-            if abs(revolution - wanted) < 1e-6:
-                click.echo(f"I after {wanted:3d} rev      {value:.4f}")
+    angle, error = flow["surface_angle_deg"], flow.get("surface_angle_error_deg")
+    if angle is not None:
+        known = f" +- {error:.2f}" if error is not None else ""
+        click.echo(f"surface angle        {angle:.2f}{known} deg")
+    curve = zip(mixing["revolutions"], mixing["segregation_intensity"], strict=True)
+    for revolution, value in curve:
+        if revolution in _SHOWN_REVOLUTIONS or revolution == mixing["revolutions"][-1]:
+            click.echo(f"I after {revolution:3g} rev      {value:.4f}")
     estimate = report["error_estimate"]["segregation_intensity"]
     if estimate is not None:
         click.echo(f"change on 2x cells   {estimate:.4f}")
@@ -229,9 +233,6 @@ def _number(key: str, text: str) -> float:
 
 
 def _indented(text: str | None) -> str:
-    import inspect
-    import textwrap
-
     return textwrap.indent(inspect.cleandoc(text or "(undocumented)"), "  ")
 
 
@@ -251,8 +252,6 @@ def _end_all_ranks() -> None:
 
 
 def _is_root() -> bool:
-    import os
-
     for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
         if name in os.environ:
             return os.environ[name] == "0"
