@@ -27,7 +27,7 @@ from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
-from scaleup.vessel_shape import froude_number, is_circle, require_drum
+from scaleup.vessel_shape import froude_number, level_height, require_drum
 
 if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition
@@ -64,7 +64,7 @@ __all__ = [
     "froude_number",
     "grid_over",
     "interval_from_dense",
-    "is_circle",
+    "level_height",
     "require_drum",
     "spread_outwards",
     "units",

@@ -19,7 +19,7 @@ import click
 import scaleup
 from scaleup import registry
 from scaleup.config import PLUGIN_SECTIONS, compose
-from scaleup.errors import InputError, ScaleupError
+from scaleup.errors import InputError, ScaleupError, file_error
 from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
 
 log = logging.getLogger("scaleup")
@@ -170,7 +170,7 @@ def main() -> None:
         _complain(str(error))
         sys.exit(error.exit_code)
     except OSError as error:
-        _complain(f"{error.filename or 'a file'}: {error.strerror or error}")
+        _complain(str(file_error(error)))
         _end_all_ranks()
     except click.exceptions.Abort:
         _complain("interrupted")

@@ -21,6 +21,7 @@ from scaleup import registry, units
 from scaleup.errors import InputError
 from scaleup.registry import Kind
 from scaleup.scene import Diffusion, Material, Model, Operation
+from scaleup.vessel_shape import level_height
 
 PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
 _MOST_POINTS, _MOST_CELLS = 1e5, 2e9
@@ -189,12 +190,8 @@ def fill_in_all_kinds(config: RunConfig) -> dict[str, float]:
     """The fill as depth ratio, volume fraction and mass (kg), whichever was given."""
     geometry, volume = config.plugin("geometry"), fill_volume(config)
     bottom, top = geometry.lower[1], geometry.upper[1]
-    low, high = bottom, top
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if geometry.volume_below(middle) < volume else (low, middle)
     return {
-        "depth_ratio": (0.5 * (low + high) - bottom) / (top - bottom),
+        "depth_ratio": (level_height(geometry, volume) - bottom) / (top - bottom),
         "volume_fraction": volume / geometry.volume,
         "mass": volume * config.material.bulk_density,
     }

@@ -23,3 +23,8 @@ class ContractError(ScaleupError):
 
 class RunError(ScaleupError):
     """A computation could not be finished: says what, where and what to change."""
+
+
+def file_error(error: OSError) -> RunError:
+    """An error of the file system as one sentence: which file, and what is wrong."""
+    return RunError(f"{error.filename or 'a file'}: {error.strerror or error}")

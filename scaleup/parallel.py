@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from scaleup.errors import RunError, ScaleupError
+from scaleup.errors import ScaleupError, file_error
 
 T = TypeVar("T")
 
@@ -52,7 +52,7 @@ def on_root(comm: Any, work: Callable[[], T]) -> T:
         except ScaleupError as error:
             failure = error
         except OSError as error:
-            failure = RunError(f"{error.filename or 'a file'}: {error.strerror or error}")
+            failure = file_error(error)
     if comm.size > 1:
         request = comm.Ibarrier()
         while not request.Test():

@@ -28,7 +28,15 @@ from scaleup.flow_field import Axis, FlowField, Interval
 from scaleup.grid import FloatArray, Grid
 
 FORMAT_VERSION = 1
-_FLOW_MODULES = ("cut_cells", "flow_field", "grid", "scene", "spread", "stream_function")
+_FLOW_MODULES = (
+    "cut_cells",
+    "flow_field",
+    "grid",
+    "scene",
+    "spread",
+    "stream_function",
+    "vessel_shape",
+)
 _UNITS = {
     "cells": "1",
     "fill_start": "m^3",

@@ -19,6 +19,15 @@ def is_circle(geometry: Any) -> bool:
     return bool(np.abs(geometry.signed_distance(ring)).max() < 1e-6 * geometry.reach)
 
 
+def level_height(geometry: Any, volume: float) -> float:
+    """Height y (m) of the level bed of a given volume (m^3) in the vessel at rest, by bisection."""
+    low, high = geometry.lower[1], geometry.upper[1]
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if geometry.volume_below(middle) < volume else (low, middle)
+    return float(0.5 * (low + high))
+
+
 def froude_number(geometry: Any, speed: float) -> float:
     """Fr = omega^2 R / g, R the vessel's reach from the axis (m), omega its speed (rad/s)."""
     return speed**2 * float(geometry.reach) / GRAVITY

@@ -7,8 +7,7 @@ import numpy as np
 
 from scaleup.api import FloatArray, IntArray
 
-# (dx, dy) of the neighbours, in the order of the weights' first axis
-NEIGHBOURS = ((-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
+# the neighbours, in the order of the weights' first axis
 SW, S, SE, W, E, NW, N, NE = range(8)
 
 
@@ -16,7 +15,7 @@ SW, S, SE, W, E, NW, N, NE = range(8)
 def step(c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, width: int) -> None:
     """One step, new = c + sum_k weights_k (c_k - c), on flattened arrays in runs [start, stop).
 
-    weights -- (8, cells) in the order of `NEIGHBOURS`; width -- length of a row. A uniform c is
+    weights -- (8, cells) in the order SW ... NE; width -- length of a row. A uniform c is
     kept exactly whatever the weights are.
     """
     for r in range(runs.shape[0]):

@@ -31,6 +31,7 @@ from scaleup.api import (
     fill_to_volume,
     flow_from_stream_function,
     froude_number,
+    level_height,
 )
 
 if TYPE_CHECKING:
@@ -71,6 +72,10 @@ class RollingBed:
         normal = np.array([-math.sin(self.angle), math.cos(self.angle)])
         return -points @ normal - self.distance
 
+    def along_surface(self, points: FloatArray) -> FloatArray:
+        """Distance s down the surface from mid-bed, m; points (..., 2) in lab coordinates."""
+        return -points @ np.array([math.cos(self.angle), math.sin(self.angle)])
+
     def layer_thickness(self, s: FloatArray) -> FloatArray:
         """delta(s) of the closure, m; 0 beyond the chord. The bed may be less deep at its ends."""
         inside = np.maximum(1.0 - s**2 / self.half_chord_squared, 0.0)
@@ -78,9 +83,17 @@ class RollingBed:
             return self.thickness * inside
         return self.thickness * np.sqrt(inside)
 
+    def layer_shear_rate(self, points: FloatArray) -> FloatArray:
+        """2 q/delta^2 of the closure at the distance s of lab points (..., 2), 1/s."""
+        at_midbed = 2 * self.midbed_flux / self.thickness**2
+        if self.closure == "shear-rate":
+            return np.full(points.shape[:-1], at_midbed)
+        s = self.along_surface(points)
+        return at_midbed / np.maximum(1.0 - s**2 / self.half_chord_squared, _CHORD_END)
+
     def stream_function(self, points: FloatArray) -> FloatArray:
         """psi, m^2/s, at lab points (..., 2) of the bed."""
-        s = -points @ np.array([math.cos(self.angle), math.sin(self.angle)])
+        s = self.along_surface(points)
         depth = self.depth_below_surface(points)
         radius_squared = (points**2).sum(axis=-1)
         bed_depth = np.sqrt(np.maximum(self.radius**2 - s**2, 0.0)) - self.distance
@@ -119,14 +132,6 @@ class RollingBed:
 
 def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
     """The bed of a scene: b from the fill, angle atan(mu), closure from the options."""
-    radius = scene.geometry.reach
-    low, high = -radius, radius
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        if scene.geometry.volume_below(middle) < scene.fill_volume:
-            low = middle
-        else:
-            high = middle
     material = scene.material
     shear_rate = options.shear_rate or math.sqrt(
         GRAVITY
@@ -134,9 +139,9 @@ def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
         / (1.5 * material.grain_diameter * math.cos(material.friction_angle))
     )
     return RollingBed(
-        radius,
+        scene.geometry.reach,
         scene.speed,
-        -0.5 * (low + high),
+        -level_height(scene.geometry, scene.fill_volume),  # a circle is as deep at every angle
         math.atan(material.friction),
         options.closure,
         shear_rate,
@@ -155,20 +160,16 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
     centres = grid.centre_points().reshape(*grid.shape, 2)
     shear_rate = np.where(fill > 0, bed.shear_rate_at(centres, 0.25 * grid.spacing[0]), 0.0)
     # second differences where the layer meets the wall are kinks of psi, not a shear rate
-    s = -centres @ np.array([math.cos(bed.angle), math.sin(bed.angle)])
-    inside = np.maximum(1.0 - s**2 / bed.half_chord_squared, _CHORD_END)
-    thickness = np.maximum(bed.layer_thickness(s), bed.thickness * _CHORD_END)
-    closure_rate = 2 * bed.midbed_flux * inside / thickness**2
     normal = np.array([-math.sin(bed.angle), math.cos(bed.angle)])
     depths = np.linspace(0.0, bed.radius - bed.distance, 2001)
     midbed = -(bed.distance + depths[:, None]) * normal
-    streamwise = -bed.velocity(midbed) @ np.array([math.cos(bed.angle), math.sin(bed.angle)])
+    streamwise = bed.along_surface(bed.velocity(midbed))
     reversal = float(np.interp(0.0, -streamwise, depths))
     return flow_from_stream_function(
         grid,
         psi,
         fill,
-        np.minimum(shear_rate, closure_rate),
+        np.minimum(shear_rate, bed.layer_shear_rate(centres)),
         axis=scene.geometry.axis,
         angular_velocity=bed.omega,
         lift=bed.angle,
