@@ -19,13 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scaleup import units
+from scaleup.conservative_bed import ConservativeBed, runs_of
 from scaleup.cut_cells import cut_fraction, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
+from scaleup.flux_correction import FluxCorrection
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
 from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
+from scaleup.step_guard import LOOK_EVERY, StepGuard
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
 from scaleup.vessel_shape import froude_number, level_height, require_drum
 
@@ -35,13 +38,16 @@ if TYPE_CHECKING:
 __all__ = [
     "FULL",
     "GRAVITY",
+    "LOOK_EVERY",
     "Axis",
     "BoolArray",
+    "ConservativeBed",
     "ContractError",
     "Diffusion",
     "FloatArray",
     "Flow",
     "FlowField",
+    "FluxCorrection",
     "Geometry",
     "Grid",
     "InputError",
@@ -57,6 +63,7 @@ __all__ = [
     "Progress",
     "RunError",
     "Scene",
+    "StepGuard",
     "cut_fraction",
     "fill_to_volume",
     "fit_stream_function",
@@ -66,6 +73,7 @@ __all__ = [
     "interval_from_dense",
     "level_height",
     "require_drum",
+    "runs_of",
     "spread_outwards",
     "units",
 ]
@@ -171,7 +179,8 @@ class Flow(Protocol):
 class Ledger:
     """What a mixing backend did to bounds, over all components, seen before any clipping.
 
-    All shares are of the bed's volume; `clipped` is the sum of the absolute changes by clipping.
+    All shares are of the bed's volume; `clipped` is the sum of the absolute changes by clipping;
+    `step_share` is the longest step over the stable one.
     """
 
     steps: int = 0
@@ -179,6 +188,7 @@ class Ledger:
     minimum: float = np.inf
     maximum: float = -np.inf
     clipped: float = 0.0
+    step_share: float = 0.0
 
     def add(self, other: Ledger) -> None:
         """Add what a further stretch of time did."""
@@ -187,6 +197,7 @@ class Ledger:
         self.minimum = min(self.minimum, other.minimum)
         self.maximum = max(self.maximum, other.maximum)
         self.clipped += other.clipped
+        self.step_share = max(self.step_share, other.step_share)
 
 
 @dataclass(frozen=True)
@@ -198,6 +209,7 @@ class MixingScene:
     grain_diameter -- m
     decomposition  -- which cells this rank owns
     tensor         -- interval -> (dimension, dimension, n) in m^2/s
+    force          -- whether steps beyond the limit of stability are allowed
     """
 
     flow: FlowField
@@ -205,12 +217,15 @@ class MixingScene:
     grain_diameter: float
     decomposition: Decomposition
     tensor: Callable[[Interval], FloatArray]
+    force: bool = False
 
 
 class Mixing(Protocol):
     """A mixing backend. Constructed as `Plugin(options)`; `start` binds it to a scene."""
 
     Options: ClassVar[type[PluginOptions]]
+    halo: ClassVar[int]
+    """layers of ghost cells that the backend reads"""
 
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells, all ranks."""

@@ -10,6 +10,7 @@ Importing this module starts MPI; the command line therefore imports it only aft
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -58,22 +59,27 @@ class Decomposition:
         """
         self.grid, self.comm, self.halo = grid, comm, halo
         position = np.unravel_index(active, grid.shape)[::-1]
-        self.box_lower = tuple(int(p.min()) - halo for p in position)
-        self.box_counts = tuple(
-            int(p.max()) + 1 + halo - low for p, low in zip(position, self.box_lower, strict=True)
-        )
+        if grid.periodic:
+            self.box_lower, self.box_counts = (0,) * grid.dimension, grid.counts
+        else:
+            self.box_lower = tuple(int(p.min()) - halo for p in position)
+            self.box_counts = tuple(
+                int(p.max()) + 1 + halo - low
+                for p, low in zip(position, self.box_lower, strict=True)
+            )
         histograms = [
             np.bincount(p - low, minlength=count)
             for p, low, count in zip(position, self.box_lower, self.box_counts, strict=True)
         ]
         ranks, ranges = _balanced(histograms, comm.size, halo, position, self.box_lower)
-        ghosted = PETSc.DM.BoundaryType.GHOSTED
+        kinds = PETSc.DM.BoundaryType
+        edge = kinds.PERIODIC if grid.periodic else kinds.GHOSTED
         self._dmda = PETSc.DMDA().create(
             dim=grid.dimension,
             dof=1,
             sizes=self.box_counts,
             proc_sizes=ranks,
-            boundary_type=(ghosted,) * grid.dimension,
+            boundary_type=(edge,) * grid.dimension,
             stencil_type=PETSc.DMDA.StencilType.BOX,
             stencil_width=halo,
             ownership_ranges=tuple(np.asarray(r, dtype=PETSc.IntType) for r in ranges),
@@ -100,8 +106,19 @@ class Decomposition:
         values -- (n,) or (m, n); the result is `local_shape` or (m, *local_shape), `empty`
         elsewhere. No communication: every rank picks what lies in its box.
         """
-        inside, where = self.local_position(cells)
         values = np.asarray(values)
+        if self.grid.periodic:  # a cell may be here and in the ghosts too
+            dense = np.full((*values.shape[:-1], self.grid.cells), empty, dtype=values.dtype)
+            dense[..., cells] = values
+            wrapped = [
+                (np.arange(-self.halo, n + self.halo) + low) % count
+                for n, low, count in zip(
+                    self._own_counts, self._own_lower, self.grid.counts, strict=True
+                )
+            ]
+            dense = dense.reshape(*values.shape[:-1], *self.grid.shape)
+            return np.ascontiguousarray(dense[..., *np.ix_(*wrapped[::-1])])
+        inside, where = self.local_position(cells)
         local = np.full((*values.shape[:-1], *self.local_shape), empty, dtype=values.dtype)
         local[(..., *where)] = values[..., inside]
         return local
@@ -132,9 +149,31 @@ class Decomposition:
         """The greatest of the ranks' values (collective)."""
         return float(self.comm.allreduce(value, op=MPI.MAX))
 
+    def totals(self, values: FloatArray) -> FloatArray:
+        """The ranks' arrays summed entry by entry (collective)."""
+        summed = np.empty_like(values)
+        self.comm.Allreduce(np.ascontiguousarray(values), summed, op=MPI.SUM)
+        return summed
+
+    def largest_of(self, values: Sequence[float]) -> FloatArray:
+        """The greatest of the ranks' values, for several at once (collective)."""
+        greatest = np.empty(len(values))
+        self.comm.Allreduce(np.array(values, dtype=float), greatest, op=MPI.MAX)
+        return greatest
+
     def total(self, value: float) -> float:
         """The sum of the ranks' values (collective)."""
         return float(self.comm.allreduce(value, op=MPI.SUM))
+
+    def centre(self, position: int) -> tuple[float, ...]:
+        """Centre (m) of the cell at a position in flattened local arrays."""
+        index = np.unravel_index(position, self.local_shape)
+        return tuple(
+            self.grid.lower[axis]
+            + self.grid.spacing[axis]
+            * (index[self.grid.array_axis(axis)] + self.box_lower[axis] + own - self.halo + 0.5)
+            for axis, own in enumerate(self._own_lower)
+        )
 
     def local_position(self, cells: IntArray) -> tuple[BoolArray, tuple[IntArray, ...]]:
         """Which of the flat grid indices lie in this rank's box, ghosts included, and where."""
@@ -152,7 +191,8 @@ class Decomposition:
         """A vector laid out as all local boxes in turn, and the scatter owner -> ghost on it."""
         size = math.prod(self.local_shape)
         layout = PETSc.Vec().createMPI((size, PETSc.DECIDE), comm=self.comm)
-        if self.comm.size == 1:
+        periodic = self.grid.periodic
+        if self.comm.size == 1 and not periodic:
             return layout, None
         offsets = np.concatenate([[0], np.cumsum(self.comm.allgather(size))])
         # positions of all local cells in the box, x first
@@ -163,7 +203,12 @@ class Decomposition:
         ]
         exists = np.ones(size, dtype=bool)
         rank_coordinate = []
+        mine = np.ones(size, dtype=bool)
         for axis, place in enumerate(in_box):
+            own_low = self._own_lower[axis]
+            mine &= (place >= own_low) & (place < own_low + self._own_counts[axis])
+            if periodic:
+                place %= self.box_counts[axis]
             exists &= (place >= 0) & (place < self.box_counts[axis])
             rank_coordinate.append(
                 np.searchsorted(self._starts[axis], np.clip(place, 0, None), side="right") - 1
@@ -172,7 +217,7 @@ class Decomposition:
         for axis in reversed(range(self.grid.dimension)):
             last = self._rank_counts[axis] - 1
             owner = owner * self._rank_counts[axis] + np.minimum(rank_coordinate[axis], last)
-        ghost = np.flatnonzero(exists & (owner != self.comm.rank))
+        ghost = np.flatnonzero(exists & ~mine)
         source = np.zeros(len(ghost), dtype=np.int64)
         for axis in reversed(range(self.grid.dimension)):
             cut = np.minimum(rank_coordinate[axis][ghost], self._rank_counts[axis] - 1)

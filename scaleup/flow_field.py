@@ -77,6 +77,9 @@ class Interval:
             shape[grid.array_axis(axis)] += 1
             faces = np.zeros(shape)
             faces[np.unravel_index(self.cells, grid.shape)] = self.flux[axis]
+            if grid.periodic:
+                along = np.moveaxis(faces, grid.array_axis(axis), 0)
+                along[-1] = along[0]
             dense.append(faces)
         return dense
 
@@ -222,7 +225,7 @@ def interval_from_dense(
 
     fill_*, shear_rate -- `grid.shape`; direction -- (dimension, *grid.shape)
     faces -- one array per axis, longer by one along it, as `Interval.face_fluxes` returns
-    Raises ValueError if a flux crosses the edge of the grid.
+    Raises ValueError if a flux crosses the edge of the grid (which a periodic one has not).
     """
     active = (fill_start > 0) | (fill_end > 0)
     for axis, values in enumerate(faces):
@@ -230,7 +233,7 @@ def interval_from_dense(
         edge = max(
             np.abs(np.take(values, 0, along)).max(), np.abs(np.take(values, -1, along)).max()
         )
-        if edge > 0:
+        if edge > 0 and not grid.periodic:
             raise ValueError(f"a flux of {edge:.3g} m^3/s crosses the edge of the grid")
         moving = values != 0
         active |= np.take(moving, range(grid.shape[along]), along)

@@ -26,12 +26,15 @@ class Grid:
     spacing  -- edge lengths of a cell, m, one per axis
     counts   -- number of cells along each axis (x first)
     depth    -- m, the extent along z that one 2-D cell stands for; 1.0 in 3-D
+    periodic -- whether the box repeats along every axis; no vessel does, but the uniform flows do
+                on which the stability of a scheme is measured
     """
 
     lower: tuple[float, ...]
     spacing: tuple[float, ...]
     counts: tuple[int, ...]
     depth: float = 1.0
+    periodic: bool = False
 
     @property
     def dimension(self) -> int:
@@ -96,6 +99,7 @@ class Grid:
             spacing=tuple(h * factor for h in self.spacing),
             counts=tuple(-(-n // factor) for n in self.counts),
             depth=self.depth,
+            periodic=self.periodic,
         )
 
 

@@ -1,0 +1,253 @@
+"""The bed on one interval of a flow as a conservative, bounded scheme needs it.
+
+Content is accounted for as in the flow itself: over a step from s to t,
+
+    phi(t) c(t) = phi(s) c(s) - sum over faces of what leaves through them,
+
+with phi the fill fraction of a cell and what leaves through a face given as a share of the volume
+of a cell. The same number is taken from one cell and given to its neighbour, so mass is kept to
+round-off; phi(t) follows the fluxes, so a uniform c stays uniform.
+
+Cells that stay full are *regular*: they are updated in contiguous runs. All others that move are
+updated in groups (`merged_cells`), so that none of them limits the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from scaleup.flow_field import Interval
+from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray
+from scaleup.merged_cells import Groups, leaving_rate, merge, neighbours_below
+
+if TYPE_CHECKING:
+    from scaleup.decomposition import Decomposition
+
+
+@dataclass(frozen=True)
+class LocalGroups:
+    """The groups that have members among a rank's owned cells; see `merged_cells`.
+
+    members -- positions of the owned members in flattened local arrays, group by group
+    first   -- where each group starts in `members`, (groups + 1,)
+    start, rate -- of the fill fraction of each whole group, on any rank: its value at the
+               interval's start and its change per second, (groups,)
+    shared, slot -- groups with members on other ranks too, and their places among all such
+               groups of the bed
+    total_shared -- number of all such groups of the bed
+    """
+
+    members: IntArray
+    first: IntArray
+    start: FloatArray
+    rate: FloatArray
+    shared: IntArray
+    slot: IntArray
+    total_shared: int
+
+
+def runs_of(positions: IntArray) -> IntArray:
+    """Contiguous runs [start, stop) of ascending flat positions, shape (m, 2)."""
+    if len(positions) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    breaks = np.flatnonzero(np.diff(positions) != 1)
+    starts = positions[np.concatenate([[0], breaks + 1])]
+    stops = positions[np.concatenate([breaks, [len(positions) - 1]])] + 1
+    return np.stack([starts, stops], axis=1)
+
+
+class ConservativeBed:
+    """One interval of a flow on a rank; arrays over cells are flattened local arrays.
+
+    interval -- the flow
+    strides  -- offset to the next cell along each axis in a flattened local array
+    flux     -- (dimension, cells) volume flux through the lower faces over a cell's volume, 1/s
+    spread   -- (dimension, cells) diffusive conductance D_nn aperture/h^2 of the lower faces, 1/s;
+                the aperture is the smaller fill fraction beside the face
+    tensor   -- (dimension, dimension, cells) m^2/s
+    fraction -- mean fill fraction over the interval
+    full     -- cells that are full all the time
+    holds    -- cells that hold material all the time
+    moving   -- cells of the whole bed (positions in `interval.cells`) through whose faces anything
+                goes; all others keep their concentration
+    """
+
+    def __init__(
+        self, grid: Grid, split: Decomposition, interval: Interval, tensor: FloatArray
+    ) -> None:
+        self.grid, self.split, self.interval = grid, split, interval
+        volume = grid.cell_volume
+        self._start, self._end = interval.fill_start / volume, interval.fill_end / volume
+        least = np.minimum(self._start, self._end)
+        self._below = neighbours_below(grid, interval.cells)
+        self._flux = interval.flux / volume
+        diagonal = np.array([tensor[a, a] for a in range(grid.dimension)])
+        self._spread = _conductance(
+            self._below, 0.5 * (self._start + self._end), diagonal, np.array(grid.spacing)
+        )
+        self._full = least >= FULL
+        self._least = np.where(least > 1e-13, least, 0.0)
+        self._rate = leaving_rate(self._below, self._flux, self._spread)
+        self.moving = np.flatnonzero(
+            (self._rate > 0) | _entered(self._below, self._flux, self._spread)
+        )
+        self.updates = len(self.moving)
+
+        cells, shape = interval.cells, split.local_shape
+        self.strides = tuple(
+            int(np.prod(shape[dim + 1 :]))
+            for dim in (grid.array_axis(a) for a in range(grid.dimension))
+        )
+        self.flux = self._local(self._flux)
+        self.spread = self._local(self._spread)
+        self.tensor = self._local(tensor)
+        self.fraction = self._local(0.5 * (self._start + self._end))
+        self.full = self._local(self._full)
+        self.holds = self._local(self._least > 0)
+        self._mine, where = split.owned_cells(cells)
+        self._owned = np.ravel_multi_index(where, shape)
+        # the owned cells' place in local arrays, by place among all cells
+        self._place = np.full(len(cells), -1, dtype=np.int64)
+        self._place[self._mine] = self._owned
+
+    def _local(self, values: FloatArray | BoolArray) -> FloatArray:
+        local = self.split.to_local(self.interval.cells, values)  # type: ignore[arg-type]
+        return local.reshape(*values.shape[:-1], -1)
+
+    @cached_property
+    def positive_step(self) -> float:
+        """Largest dt at which no full cell loses more than it holds, on all ranks, s.
+
+        sum over faces of outflow dt + 2 sum over axes of D_nn dt/h^2 <= 1, the limit of
+        positivity of the upwind scheme; infinite if nothing moves.
+        """
+        fastest = float(self._rate[self._full].max(initial=0.0))
+        if fastest == 0.0:
+            fastest = float((self._rate / np.maximum(self._least, 1e-3)).max(initial=0.0))
+        return 1.0 / fastest if fastest > 0 else np.inf
+
+    def settle(self, dt: float) -> None:
+        """Form the groups for steps of at most dt (s); collective, once per interval.
+
+        Sets `groups`, `runs` (of owned regular cells that move, (m, 2)) and `face_runs`: runs of
+        positions that hold the lower faces, along every axis, of the owned moving cells and of the
+        cells above those. Closes the faces inside groups.
+        """
+        always = np.zeros(len(self._full), dtype=bool)
+        always[self.moving] = True
+        moving_mine = always & self._mine
+        always &= ~self._full
+        self._groups = merge(self._below, self._flux, self._spread, self._least, always, dt)
+        self.groups = self._local_groups()
+        self._close_inner()
+        place = self._place[moving_mine]
+        self.face_runs = runs_of(
+            np.unique(np.concatenate([place, *(place + s for s in self.strides)]))
+        )
+        moving_mine[self._groups.members] = False
+        self.runs = runs_of(np.sort(self._place[moving_mine]))
+
+    def _local_groups(self) -> LocalGroups:
+        groups = self._groups
+        number, count = groups.number, len(groups)
+        start = np.bincount(number, weights=self._start[groups.members], minlength=count)
+        rate = np.bincount(
+            number, weights=(self._end - self._start)[groups.members], minlength=count
+        )
+        place = self._place[groups.members]
+        owned = place >= 0
+        here = np.bincount(number[owned], minlength=count)
+        partly = (here > 0) & (here < np.diff(groups.first))
+        shared_anywhere = np.flatnonzero(self.split.totals(partly.astype(float)))
+        present = np.flatnonzero(here > 0)
+        shared = np.flatnonzero(np.isin(present, shared_anywhere))
+        return LocalGroups(
+            members=place[owned],
+            first=np.concatenate([[0], np.cumsum(here[present])]),
+            start=start[present],
+            rate=rate[present] / self.interval.duration,
+            shared=shared,
+            slot=np.searchsorted(shared_anywhere, present[shared]),
+            total_shared=len(shared_anywhere),
+        )
+
+    def _close_inner(self) -> None:
+        group = np.full(len(self._full), -1, dtype=np.int64)
+        group[self._groups.members] = self._groups.number
+        for axis in range(self.grid.dimension):
+            below = self._below[axis]
+            inner = (below >= 0) & (group >= 0) & (group[below] == group)
+            keep = self._local(~inner)
+            self.flux[axis] *= keep
+            self.spread[axis] *= keep
+
+    def shifted(self, values: FloatArray, axis: int, by: int) -> FloatArray:
+        """values[cell + by] along an axis, in flattened local arrays (edges are not valid)."""
+        return np.roll(values, -by * self.strides[axis], axis=-1)
+
+    def enter(self, values: FloatArray, time: float) -> FloatArray:
+        """Concentrations (m, n) on the interval's cells with those of a group made one.
+
+        A group takes the mean weighted by what its cells hold at `time` (s), so that no content
+        is lost.
+        """
+        members, number = self._groups.members, self._groups.number
+        weight = self.fraction_at(time)[members]
+        held = np.bincount(number, weights=weight, minlength=len(self._groups))
+        result = values.copy()
+        for row in result:
+            mean = np.bincount(number, weights=weight * row[members], minlength=len(held))
+            mean = np.divide(mean, held, out=mean, where=held > 0)
+            row[members] = np.where(held[number] > 0, mean[number], row[members])
+        return result
+
+    def fraction_at(self, time: float) -> FloatArray:
+        """Fill fraction of the interval's cells at a time, (n,)."""
+        share = (time - self.interval.start) / self.interval.duration
+        return np.asarray((1.0 - share) * self._start + share * self._end)
+
+
+def share_sums(split: Decomposition, groups: LocalGroups, sums: Sequence[FloatArray]) -> None:
+    """Complete per-group sums of groups that straddle ranks, in place (collective)."""
+    if groups.total_shared == 0:
+        return
+    buffer = np.zeros((len(sums), groups.total_shared))
+    for row, values in zip(buffer, sums, strict=True):
+        row[groups.slot] = values[groups.shared]
+    buffer = split.totals(buffer)
+    for row, values in zip(buffer, sums, strict=True):
+        values[groups.shared] = row[groups.slot]
+
+
+@numba.njit(cache=True)
+def _conductance(
+    below: IntArray, fraction: FloatArray, diagonal: FloatArray, spacing: FloatArray
+) -> FloatArray:
+    """D_nn aperture/h^2 of the lower faces, 1/s, (dimension, n)."""
+    result = np.zeros_like(diagonal)
+    for axis in range(diagonal.shape[0]):
+        for i in range(diagonal.shape[1]):
+            j = below[axis, i]
+            if j >= 0:
+                mean = 0.5 * (diagonal[axis, i] + diagonal[axis, j])
+                result[axis, i] = mean * min(fraction[i], fraction[j]) / spacing[axis] ** 2
+    return result
+
+
+@numba.njit(cache=True)
+def _entered(below: IntArray, flux: FloatArray, spread: FloatArray) -> BoolArray:
+    """Cells that anything enters."""
+    result = np.zeros(flux.shape[1], dtype=np.bool_)
+    for axis in range(flux.shape[0]):
+        for i in range(flux.shape[1]):
+            j = below[axis, i]
+            if j >= 0 and (flux[axis, i] != 0.0 or spread[axis, i] != 0.0):
+                result[i] = True
+                result[j] = True
+    return result
