@@ -26,8 +26,6 @@ from scaleup.storage import Results
 
 log = logging.getLogger("scaleup")
 
-_HALO = 2  # ghost layers offered to mixing backends
-
 
 @dataclass
 class Blend:
@@ -64,9 +62,11 @@ def mix(
     *,
     results: Results | None = None,
     checkpoint: Path | None = None,
+    force: bool = False,
 ) -> Blend:
     """Blend on a flow and measure it along the way; collective.
 
+    force      -- go on with steps beyond the limit of stability
     results    -- where snapshots go, or None
     checkpoint -- where the state is kept; if the file exists the run goes on from it
     """
@@ -84,10 +84,11 @@ def mix(
         index, local = state["interval"], state["time"]
         blend = Blend(**{**state["blend"], "ledger": Ledger(**state["blend"]["ledger"])})
         log.info("resumed at revolution %.3f", points[first])
-    split = Decomposition(flow.grid, _ever_active(flow), comm, halo=_HALO)
     backend = config.plugin("mixing")
+    split = Decomposition(flow.grid, _ever_active(flow), comm, halo=backend.halo)
     tensor = partial(_tensor, flow=flow, config=config)
-    scene = MixingScene(flow, config.diffusion, config.material.grain_diameter, split, tensor)
+    grain = config.material.grain_diameter
+    scene = MixingScene(flow, config.diffusion, grain, split, tensor, force)
     backend.start(scene, concentration, index)
 
     began = last_kept = time.monotonic() - blend.seconds

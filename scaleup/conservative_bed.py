@@ -23,11 +23,13 @@ import numba
 import numpy as np
 
 from scaleup.flow_field import Interval
-from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray
+from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 from scaleup.merged_cells import Groups, leaving_rate, merge, neighbours_below
 
 if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition
+
+_ROUND_OFF = 1e-14  # of a cell's volume
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class LocalGroups:
     shared, slot -- groups with members on other ranks too, and their places among all such
                groups of the bed
     total_shared -- number of all such groups of the bed
+    interval_start -- s
     """
 
     members: IntArray
@@ -50,6 +53,11 @@ class LocalGroups:
     shared: IntArray
     slot: IntArray
     total_shared: int
+    interval_start: float
+
+    def fraction(self, time: float) -> FloatArray:
+        """Fill fraction of each group at a time (s), (groups,)."""
+        return np.asarray(self.start + (time - self.interval_start) * self.rate)
 
 
 def runs_of(positions: IntArray) -> IntArray:
@@ -91,8 +99,8 @@ class ConservativeBed:
         self._spread = _conductance(
             self._below, 0.5 * (self._start + self._end), diagonal, np.array(grid.spacing)
         )
-        self._full = least >= FULL
-        self._least = np.where(least > 1e-13, least, 0.0)
+        self._full = least >= 1.0 - _ROUND_OFF
+        self._least = np.where(least > _ROUND_OFF, least, 0.0)
         self._rate = leaving_rate(self._below, self._flux, self._spread)
         self.moving = np.flatnonzero(
             (self._rate > 0) | _entered(self._below, self._flux, self._spread)
@@ -175,6 +183,7 @@ class ConservativeBed:
             shared=shared,
             slot=np.searchsorted(shared_anywhere, present[shared]),
             total_shared=len(shared_anywhere),
+            interval_start=self.interval.start,
         )
 
     def _close_inner(self) -> None:

@@ -23,15 +23,17 @@ from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 
 
 class GhostedField:
-    """One value per cell of a rank's local box (ghosts included), in a PETSc vector.
+    """Values on the cells of a rank's local box (ghosts included), in a PETSc vector.
 
-    array -- float64 view with the decomposition's `local_shape`; writing to it writes the vector
+    array -- float64 view, (components, *local_shape); writing to it writes the vector
+    flat  -- the same as (components, cells)
     """
 
     def __init__(self, vector: Any, shape: tuple[int, ...], scatter: Any):
         self._vector = vector
         self._scatter = scatter
         self.array: FloatArray = vector.getArray().reshape(shape)
+        self.flat: FloatArray = self.array.reshape(shape[0], -1)
 
     def exchange(self) -> None:
         """Overwrite the ghosts with their owners' values (collective)."""
@@ -92,13 +94,16 @@ class Decomposition:
         self._own_counts = tuple(high - low for low, high in own)
         self.local_shape = tuple(n + 2 * halo for n in self._own_counts[::-1])
         self.owned = tuple(slice(halo, halo + n) for n in self._own_counts[::-1])
-        self._layout, self._scatter = self._ghost_scatter()
+        self._layouts: dict[int, tuple[Any, Any]] = {}
 
-    def field(self) -> GhostedField:
+    def field(self, components: int = 1) -> GhostedField:
         """A new field of zeros."""
-        vector = self._layout.duplicate()
+        if components not in self._layouts:
+            self._layouts[components] = self._ghost_scatter(components)
+        layout, scatter = self._layouts[components]
+        vector = layout.duplicate()
         vector.set(0.0)
-        return GhostedField(vector, self.local_shape, self._scatter)
+        return GhostedField(vector, (components, *self.local_shape), scatter)
 
     def to_local(self, cells: IntArray, values: FloatArray, empty: float = 0.0) -> FloatArray:
         """Dense local array (ghosts included) of values given at flat grid indices.
@@ -187,14 +192,18 @@ class Decomposition:
             shifted.append(local)
         return inside, tuple(local[inside] for local in shifted)
 
-    def _ghost_scatter(self) -> tuple[Any, Any]:
-        """A vector laid out as all local boxes in turn, and the scatter owner -> ghost on it."""
+    def _ghost_scatter(self, components: int) -> tuple[Any, Any]:
+        """A vector laid out as all local boxes in turn, and the scatter owner -> ghost on it.
+
+        A rank's part of the vector holds its whole box for one component after the other.
+        """
         size = math.prod(self.local_shape)
-        layout = PETSc.Vec().createMPI((size, PETSc.DECIDE), comm=self.comm)
+        layout = PETSc.Vec().createMPI((components * size, PETSc.DECIDE), comm=self.comm)
         periodic = self.grid.periodic
         if self.comm.size == 1 and not periodic:
             return layout, None
-        offsets = np.concatenate([[0], np.cumsum(self.comm.allgather(size))])
+        sizes = np.array(self.comm.allgather(size))
+        offsets = np.concatenate([[0], np.cumsum(components * sizes)])
         # positions of all local cells in the box, x first
         index = np.indices(self.local_shape)
         in_box = [
@@ -224,11 +233,11 @@ class Decomposition:
             low = self._starts[axis][cut]
             width = self._starts[axis][cut + 1] - low + 2 * self.halo
             source = source * width + (in_box[axis][ghost] - low + self.halo)
-        source += offsets[owner[ghost]]
-        here = PETSc.IS().createGeneral(
-            (ghost + offsets[self.comm.rank]).astype(PETSc.IntType), comm=self.comm
-        )
-        there = PETSc.IS().createGeneral(source.astype(PETSc.IntType), comm=self.comm)
+        each = np.arange(components)[:, None]
+        to = offsets[self.comm.rank] + each * size + ghost
+        origin = offsets[owner[ghost]] + each * sizes[owner[ghost]] + source
+        here = PETSc.IS().createGeneral(to.ravel().astype(PETSc.IntType), comm=self.comm)
+        there = PETSc.IS().createGeneral(origin.ravel().astype(PETSc.IntType), comm=self.comm)
         return layout, PETSc.Scatter().create(layout, there, layout, here)
 
 

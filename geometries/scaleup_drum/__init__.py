@@ -33,7 +33,7 @@ class Drum:
             "revolutions": 3,
         },
         "flow": {"name": "mohr-coulomb"},
-        "mixing": {"name": "lax-wendroff"},
+        "mixing": {"name": "finite-volume"},
         "grid": {"spacing": "0.3 mm"},
     }
 

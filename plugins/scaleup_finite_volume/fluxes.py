@@ -31,24 +31,24 @@ from scaleup.api import BoolArray, ConservativeBed, FloatArray, IntArray
 class Faces:
     """Faces of an interval of the flow that take part in a step, of one rank.
 
-    cross  -- (transverse axes, dimension, cells) chi, 1/s; row t of axis a belongs to the t-th
-              other axis
-    irregular -- per axis: positions of faces that are not computed by the high-order stencil
-    weights   -- per axis: (4, faces) weights of c_-2 .. c_1 in the irregular face's value
+    cross   -- (transverse axes, dimension, cells) chi, 1/s; row t of axis a belongs to the t-th
+               other axis
+    special -- (2, faces) axis and position of faces that the high-order stencil does not serve
+    weights -- (4, faces) weights of c_-2 .. c_1 in the value at a special face
     """
 
     cross: FloatArray
-    irregular: tuple[IntArray, ...]
-    weights: tuple[FloatArray, ...]
+    special: IntArray
+    weights: FloatArray
 
 
 def find_faces(bed: ConservativeBed) -> Faces:
-    """Sort the faces of a settled bed into regular and irregular ones."""
+    """Sort the faces of a settled bed into regular and special ones."""
     dimension = bed.grid.dimension
     candidates = np.zeros(bed.full.shape, dtype=bool)
     for start, stop in bed.face_runs:
         candidates[start:stop] = True
-    irregular, weights = [], []
+    special, weights = [], []
     cross = np.zeros((dimension - 1, dimension, candidates.size))
     for axis in range(dimension):
 
@@ -58,16 +58,16 @@ def find_faces(bed: ConservativeBed) -> Faces:
         smooth = np.logical_and.reduce([along(bed.full, by) for by in range(-3, 3)])
         passes = (bed.flux[axis] != 0) | (bed.spread[axis] != 0)
         here = np.flatnonzero(candidates & passes & ~smooth)
-        irregular.append(here)
         holds = np.stack([along(bed.holds, by)[here] for by in range(-2, 2)])
-        weights.append(_irregular_weights(bed.flux[axis, here] > 0, holds))
+        special.append(np.stack([np.full(len(here), axis), here]))
+        weights.append(_special_weights(bed.flux[axis, here] > 0, holds))
         others = [b for b in range(dimension) if b != axis]
         for row, b in enumerate(others):
             cross[row, axis] = _transverse(bed, axis, b) * passes
-    return Faces(cross, tuple(irregular), tuple(weights))
+    return Faces(cross, np.concatenate(special, axis=1), np.concatenate(weights, axis=1))
 
 
-def _irregular_weights(forward: BoolArray, holds: BoolArray) -> FloatArray:
+def _special_weights(forward: BoolArray, holds: BoolArray) -> FloatArray:
     """Weights of c_-2 .. c_1 by the direction of flow and by which of these hold material."""
     weights = np.zeros(holds.shape)
     upwind = np.where(forward, 1, 2)
@@ -92,71 +92,80 @@ def _transverse(bed: ConservativeBed, axis: int, other: int) -> FloatArray:
     return np.asarray(np.where(holds & full, chi, 0.0))
 
 
-def high_order(out: FloatArray, c: FloatArray, bed: ConservativeBed, faces: Faces, dt: float) -> None:
+def high_order(
+    out: FloatArray, c: FloatArray, bed: ConservativeBed, faces: Faces, dt: float
+) -> None:
     """Fluxes of a component through the faces in dt; out (dimension, cells)."""
-    dimension = bed.grid.dimension
-    for axis in range(dimension):
-        others = [bed.strides[b] for b in range(dimension) if b != axis]
-        stride = bed.strides[axis]
-        _regular(out[axis], c, bed.flux[axis], bed.spread[axis], dt, bed.face_runs, stride)
-        here, weights = faces.irregular[axis], faces.weights[axis]
-        _irregular(out[axis], c, bed.flux[axis], bed.spread[axis], dt, here, weights, stride)
-        for row, other in enumerate(others):
-            _add_transverse(out[axis], c, faces.cross[row, axis], dt, bed.face_runs, stride, other)
+    x, y, *z = bed.strides
+    s = (x, y, z[0] if z else 0)
+    _regular(out, c, bed.flux, bed.spread, faces.cross, dt, bed.face_runs, s)
+    _special(out, c, bed.flux, bed.spread, faces.cross, dt, faces.special, faces.weights, s)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"contract"})
 def _regular(
     out: FloatArray,
     c: FloatArray,
     flux: FloatArray,
     spread: FloatArray,
+    cross: FloatArray,
     dt: float,
     runs: IntArray,
-    s: int,
+    strides: tuple[int, int, int],
 ) -> None:
+    sixtieth, twelfth = dt / 60, dt / 12
     for r in range(runs.shape[0]):
-        # views that start at 0: no index can be negative, so the inner loop is vectorised
+        # views that start at 0: no index can be negative, so the inner loops are vectorised
         a, b = runs[r, 0], runs[r, 1]
-        f, v, g = out[a:b], flux[a:b], spread[a:b]
-        c0, c1, c2 = c[a - 3 * s : b - 3 * s], c[a - 2 * s : b - 2 * s], c[a - s : b - s]
-        c3, c4, c5 = c[a:b], c[a + s : b + s], c[a + 2 * s : b + 2 * s]
-        sixtieth, twelfth = dt / 60, dt / 12
-        for k in range(b - a):
-            near, wide, widest = c3[k] - c2[k], c4[k] - c1[k], c5[k] - c0[k]
-            centred = 37 * (c2[k] + c3[k]) - 8 * (c1[k] + c4[k]) + (c0[k] + c5[k])
-            f[k] = (
-                sixtieth * (v[k] * centred - abs(v[k]) * (10 * near - 5 * wide + widest))
-                - twelfth * g[k] * (15 * near - wide)
-            )
+        for axis in range(out.shape[0]):
+            s, t = strides[axis], strides[1 if axis == 0 else 0]
+            f, v, g = out[axis, a:b], flux[axis, a:b], spread[axis, a:b]
+            c0, c1, c2 = c[a - 3 * s : b - 3 * s], c[a - 2 * s : b - 2 * s], c[a - s : b - s]
+            c3, c4, c5 = c[a:b], c[a + s : b + s], c[a + 2 * s : b + 2 * s]
+            x = cross[0, axis, a:b]
+            up, up_behind = c[a + t : b + t], c[a + t - s : b + t - s]
+            down, down_behind = c[a - t : b - t], c[a - t - s : b - t - s]
+            for k in range(b - a):
+                near, wide, widest = c3[k] - c2[k], c4[k] - c1[k], c5[k] - c0[k]
+                centred = 37 * (c2[k] + c3[k]) - 8 * (c1[k] + c4[k]) + (c0[k] + c5[k])
+                across = up_behind[k] + up[k] - down_behind[k] - down[k]
+                f[k] = (
+                    sixtieth * (v[k] * centred - abs(v[k]) * (10 * near - 5 * wide + widest))
+                    - twelfth * g[k] * (15 * near - wide)
+                    + dt * x[k] * across
+                )
+            if strides[2] != 0:
+                t = strides[1 if axis == 2 else 2]
+                x = cross[1, axis, a:b]
+                up, up_behind = c[a + t : b + t], c[a + t - s : b + t - s]
+                down, down_behind = c[a - t : b - t], c[a - t - s : b - t - s]
+                for k in range(b - a):
+                    f[k] += dt * x[k] * (up_behind[k] + up[k] - down_behind[k] - down[k])
 
 
 @numba.njit(cache=True)
-def _irregular(
+def _special(
     out: FloatArray,
     c: FloatArray,
     flux: FloatArray,
     spread: FloatArray,
+    cross: FloatArray,
     dt: float,
     faces: IntArray,
     weights: FloatArray,
-    s: int,
+    strides: tuple[int, int, int],
 ) -> None:
-    for i in range(len(faces)):
-        k = faces[i]
+    for i in range(faces.shape[1]):
+        axis, k = faces[0, i], faces[1, i]
+        s = strides[axis]
         value = weights[0, i] * c[k - 2 * s] + weights[1, i] * c[k - s]
         value += weights[2, i] * c[k] + weights[3, i] * c[k + s]
-        out[k] = dt * (flux[k] * value - spread[k] * (c[k] - c[k - s]))
-
-
-@numba.njit(cache=True)
-def _add_transverse(
-    out: FloatArray, c: FloatArray, chi: FloatArray, dt: float, runs: IntArray, s: int, t: int
-) -> None:
-    for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        f, x = out[a:b], chi[a:b]
-        up, up_behind = c[a + t : b + t], c[a + t - s : b + t - s]
-        down, down_behind = c[a - t : b - t], c[a - t - s : b - t - s]
-        for k in range(b - a):
-            f[k] += dt * x[k] * (up_behind[k] + up[k] - down_behind[k] - down[k])
+        total = flux[axis, k] * value - spread[axis, k] * (c[k] - c[k - s])
+        row = 0
+        for other in range(out.shape[0]):
+            if other != axis:
+                t = strides[other]
+                across = c[k + t - s] + c[k + t] - c[k - t - s] - c[k - t]
+                total += cross[row, axis, k] * across
+                row += 1
+        out[axis, k] = dt * total

@@ -54,10 +54,10 @@ class Transport:
         self._guard = StepGuard(
             self.split, options.courant, options.time_step, _OVERSHOOT, scene.force
         )
-        self._fields = [self.split.field() for _ in range(moved)]
-        self._stages = [(self.split.field(), self.split.field()) for _ in range(moved)]
-        self._c = [field.array.ravel() for field in self._fields]
-        self._fluxes = np.zeros((moved, scene.flow.grid.dimension, self._c[0].size))
+        self._field = self.split.field(moved)
+        self._stages = [self.split.field(moved), self.split.field(moved)]
+        cells = self._field.flat.shape[1]
+        self._fluxes = np.zeros((moved, scene.flow.grid.dimension, cells))
         self._correction = FluxCorrection(self.split, moved)
         interval = scene.flow.intervals[index]
         self._enter(index, interval.cells, concentration[:-1])
@@ -74,7 +74,7 @@ class Transport:
             self._enter(index, self._bed.interval.cells, self._values())
         stable = self._bed.positive_step
         steps, dt = self._guard.steps(start, end, stable)
-        updates = steps * self._bed.updates * len(self._c)
+        updates = steps * self._bed.updates * len(self._fluxes)
         ledger = Ledger(steps=steps, cell_updates=updates, step_share=dt / stable)
         for n in range(1, steps + 1):
             now = start + (n - 1) * dt
@@ -102,33 +102,35 @@ class Transport:
         self._correction.enter(bed)
         here = spread_outwards(self.scene.flow.grid, cells, values, interval.cells)
         local = self.split.to_local(interval.cells, bed.enter(here, interval.start))
-        for field, stages, start in zip(self._fields, self._stages, local, strict=True):
-            for target in (field, *stages):
-                target.array[...] = start
+        for field in (self._field, *self._stages):
+            field.array[...] = local
 
     def _step(self, start: float, end: float) -> None:
         dt = end - start
-        for c, flux, stages in zip(self._c, self._fluxes, self._stages, strict=True):
-            now = c
-            for stage, share in zip(stages, (3, 2), strict=True):
-                high_order(flux, now, self._bed, self._faces, dt / share)
-                now = stage.array.ravel()
-                self._correction.update(now, c, flux, start, start + dt / share)
-                stage.exchange()
-            high_order(flux, now, self._bed, self._faces, dt)
-        self._correction.apply(self._c, self._fluxes, start, end)
-        for field in self._fields:
-            field.exchange()
+        c = now = self._field.flat
+        for stage, share in zip(self._stages, (3, 2), strict=True):
+            self._find_fluxes(now, dt / share)
+            now = stage.flat
+            self._correction.update(now, c, self._fluxes, start, start + dt / share)
+            stage.exchange()
+        self._find_fluxes(now, dt)
+        self._correction.apply(c, self._fluxes, start, end)
+        self._field.exchange()
+
+    def _find_fluxes(self, c: FloatArray, dt: float) -> None:
+        for component, flux in zip(c, self._fluxes, strict=True):
+            high_order(flux, component, self._bed, self._faces, dt)
 
     def _look(self, ledger: Ledger, time: float, dt: float) -> None:
-        low, high = self._correction.bounds(self._c)
+        c = self._field.flat
+        low, high = self._correction.bounds(c)
         ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
         self._guard.judge(
-            low, high, time, dt, self._bed.positive_step, lambda: self._correction.worst(self._c)
+            low, high, time, dt, self._bed.positive_step, lambda: self._correction.worst(c)
         )
 
     def _values(self) -> FloatArray:
         """(m, n) at the bed's cells, collected on every rank."""
         mine, where = self.split.owned_cells(self._bed.interval.cells)
-        owned = np.stack([field.array[where] for field in self._fields])
+        owned = self._field.array[:, *where]
         return self.split.gather(self._bed.interval.cells, owned, mine)

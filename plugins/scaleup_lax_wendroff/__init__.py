@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -23,6 +23,8 @@ class LaxWendroff:
         paper exactly as printed, boundary nodes copied, clipped to [0, 1]"""
         courant: Annotated[float, Field(gt=0, le=1)] = 0.95
         """share of the stable step that is used"""
+
+    halo: ClassVar[int] = 2
 
     def __init__(self, options: Options):
         self.options = options

@@ -1,0 +1,259 @@
+"""Loops of the conservative updates, compiled; see `flux_correction` for what they compute.
+
+`s` holds the strides along the axes, 0 for a third that is not there. In runs the loops work on
+views that start at 0: no index can be negative, so that the inner loops are vectorised. Groups come
+as (members, first) of `LocalGroups`; their sums are completed between ranks by the caller.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from scaleup.grid import FloatArray, IntArray
+
+EMPTY = 1e-14  # fill fraction at which a group counts as empty
+Strides = tuple[int, int, int]
+
+
+@numba.njit(inline="always")
+def loss(flux: FloatArray, k: int, s: Strides) -> float:
+    """What leaves cell k through its faces, div(flux)."""
+    total = flux[0, k + s[0]] - flux[0, k] + flux[1, k + s[1]] - flux[1, k]
+    if s[2] != 0:
+        total += flux[2, k + s[2]] - flux[2, k]
+    return total
+
+
+@numba.njit(cache=True)
+def update_regular(
+    new: FloatArray, c: FloatArray, flux: FloatArray, runs: IntArray, s: Strides
+) -> None:
+    """New = c - div(flux) in the runs; (cells,), (cells,), (dimension, cells)."""
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        out, here = new[a:b], c[a:b]
+        x0, x1 = flux[0, a:b], flux[0, a + s[0] : b + s[0]]
+        y0, y1 = flux[1, a:b], flux[1, a + s[1] : b + s[1]]
+        if s[2] == 0:
+            for k in range(b - a):
+                out[k] = here[k] - (x1[k] - x0[k] + y1[k] - y0[k])
+        else:
+            z0, z1 = flux[2, a:b], flux[2, a + s[2] : b + s[2]]
+            for k in range(b - a):
+                out[k] = here[k] - (x1[k] - x0[k] + y1[k] - y0[k] + z1[k] - z0[k])
+
+
+@numba.njit(cache=True)
+def group_losses(flux: FloatArray, members: IntArray, first: IntArray, s: Strides) -> FloatArray:
+    """Sum of div(flux) over the owned members of each group, for each component; (m, groups)."""
+    total = np.zeros((flux.shape[0], len(first) - 1))
+    for m in range(flux.shape[0]):
+        for g in range(len(first) - 1):
+            for i in range(first[g], first[g + 1]):
+                total[m, g] += loss(flux[m], members[i], s)
+    return total
+
+
+@numba.njit(cache=True)
+def update_groups(
+    new: FloatArray,
+    c: FloatArray,
+    lost: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    members: IntArray,
+    first: IntArray,
+) -> None:
+    """New = (before c - lost)/after, one value for a group; one that ends empty keeps its c."""
+    for g in range(len(first) - 1):
+        value = c[members[first[g]]]
+        if after[g] > EMPTY:
+            value = (before[g] * value - lost[g]) / after[g]
+        for i in range(first[g], first[g + 1]):
+            new[members[i]] = value
+
+
+@numba.njit(cache=True)
+def bounds(values: FloatArray, runs: IntArray, members: IntArray) -> tuple[float, float]:
+    """Least and greatest of all components (m, cells) and of 1 - their sum; infinite for NaN."""
+    low, high, broken = np.inf, -np.inf, False
+    count = values.shape[0]
+    for m in range(count):
+        for r in range(runs.shape[0]):
+            here = values[m, runs[r, 0] : runs[r, 1]]
+            for k in range(len(here)):
+                low, high = min(low, here[k]), max(high, here[k])
+                broken |= here[k] != here[k]
+        for i in members:
+            low, high = min(low, values[m, i]), max(high, values[m, i])
+            broken |= values[m, i] != values[m, i]
+    if broken:
+        return -np.inf, np.inf
+    if count == 1:
+        return min(low, 1.0 - high), max(high, 1.0 - low)
+    for r in range(runs.shape[0]):
+        for k in range(runs[r, 0], runs[r, 1]):
+            rest = 1.0 - values[:, k].sum()
+            low, high = min(low, rest), max(high, rest)
+    for i in members:
+        rest = 1.0 - values[:, i].sum()
+        low, high = min(low, rest), max(high, rest)
+    return low, high
+
+
+@numba.njit(cache=True)
+def copy(target: FloatArray, source: FloatArray, runs: IntArray, members: IntArray) -> None:
+    """Target = source where the bed moves."""
+    for r in range(runs.shape[0]):
+        target[runs[r, 0] : runs[r, 1]] = source[runs[r, 0] : runs[r, 1]]
+    for i in members:
+        target[i] = source[i]
+
+
+@numba.njit(cache=True)
+def subtract_low_order(
+    flux: FloatArray,
+    c: FloatArray,
+    speed: FloatArray,
+    spread: FloatArray,
+    dt: float,
+    runs: IntArray,
+    s: Strides,
+) -> None:
+    """Step 2: A = F - L with L upwind, in place, for one component."""
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        for axis in range(flux.shape[0]):
+            f, v, g = flux[axis, a:b], speed[axis, a:b], spread[axis, a:b]
+            here, behind = c[a:b], c[a - s[axis] : b - s[axis]]
+            for k in range(b - a):
+                f[k] -= dt * (
+                    max(v[k], 0.0) * behind[k]
+                    + min(v[k], 0.0) * here[k]
+                    - g[k] * (here[k] - behind[k])
+                )
+
+
+@numba.njit(cache=True)
+def group_outgoing(flux: FloatArray, members: IntArray, first: IntArray, s: Strides) -> FloatArray:
+    """What A takes out of each group, (m + 1, groups), for each component and for the last."""
+    count = flux.shape[0]
+    total = np.zeros((count + 1, len(first) - 1))
+    for g in range(len(first) - 1):
+        for i in range(first[g], first[g + 1]):
+            k = members[i]
+            for axis in range(flux.shape[1]):
+                rest_low, rest_high = 0.0, 0.0
+                for m in range(count):
+                    low, high = flux[m, axis, k], flux[m, axis, k + s[axis]]
+                    total[m, g] += max(high, 0.0) + max(-low, 0.0)
+                    rest_low -= low
+                    rest_high -= high
+                total[count, g] += max(rest_high, 0.0) + max(-rest_low, 0.0)
+    return total
+
+
+@numba.njit(cache=True)
+def low_order_content(
+    content: FloatArray,
+    flux: FloatArray,
+    lost: FloatArray,
+    after: FloatArray,
+    runs: IntArray,
+    members: IntArray,
+    first: IntArray,
+    s: Strides,
+) -> None:
+    """Phi c_low = phi c_high + div(A) in place of c_high, for m components, and for the last."""
+    count = flux.shape[0]
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        rest = content[count, a:b]
+        rest[:] = 1.0
+        for m in range(count):
+            here = content[m, a:b]
+            for axis in range(flux.shape[1]):
+                low, high = flux[m, axis, a:b], flux[m, axis, a + s[axis] : b + s[axis]]
+                for k in range(b - a):
+                    here[k] += high[k] - low[k]
+            for k in range(b - a):
+                rest[k] -= here[k]
+    for g in range(len(first) - 1):
+        rest_of_group = after[g]
+        for m in range(count):
+            value = after[g] * content[m, members[first[g]]] + lost[m, g]
+            rest_of_group -= value
+            for i in range(first[g], first[g + 1]):
+                content[m, members[i]] = value
+        for i in range(first[g], first[g + 1]):
+            content[count, members[i]] = rest_of_group
+
+
+@numba.njit(cache=True)
+def shares_of_one(
+    share: FloatArray,
+    content: FloatArray,
+    flux: FloatArray,
+    sign: float,
+    outgoing: FloatArray,
+    runs: IntArray,
+    members: IntArray,
+    first: IntArray,
+    s: Strides,
+) -> None:
+    """Step 3 for one component whose antidiffusive flux is sign times `flux`."""
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        here, out = content[a:b], share[a:b]
+        x0, x1 = flux[0, a:b], flux[0, a + s[0] : b + s[0]]
+        y0, y1 = flux[1, a:b], flux[1, a + s[1] : b + s[1]]
+        for k in range(b - a):
+            out[k] = (
+                (max(sign * x1[k], 0.0) + max(-sign * x0[k], 0.0))
+                + (max(sign * y1[k], 0.0) + max(-sign * y0[k], 0.0))
+                + EMPTY
+            )
+        if s[2] != 0:
+            z0, z1 = flux[2, a:b], flux[2, a + s[2] : b + s[2]]
+            for k in range(b - a):
+                out[k] += max(sign * z1[k], 0.0) + max(-sign * z0[k], 0.0)
+        for k in range(b - a):
+            out[k] = min(1.0, max(here[k], 0.0) / out[k])
+    for g in range(len(first) - 1):
+        value = min(1.0, max(content[members[first[g]]], 0.0) / (outgoing[g] + EMPTY))
+        for i in range(first[g], first[g + 1]):
+            share[members[i]] = value
+
+
+@numba.njit(cache=True)
+def limit_two(
+    flux: FloatArray, share: FloatArray, rest: FloatArray, runs: IntArray, s: Strides
+) -> None:
+    """Step 4 in place where there are two components: (dimension, cells), (cells,), (cells,)."""
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        for axis in range(flux.shape[0]):
+            f = flux[axis, a:b]
+            here, behind = share[a:b], share[a - s[axis] : b - s[axis]]
+            rest_here, rest_behind = rest[a:b], rest[a - s[axis] : b - s[axis]]
+            for k in range(b - a):
+                forward = min(behind[k], rest_here[k])
+                backward = min(here[k], rest_behind[k])
+                f[k] *= forward if f[k] > 0.0 else backward
+
+
+@numba.njit(cache=True)
+def cap(
+    alpha: FloatArray, flux: FloatArray, sign: float, share: FloatArray, runs: IntArray, s: Strides
+) -> None:
+    """Step 4 for one of many components: alpha = min(alpha, R of the cell that gives)."""
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        for axis in range(flux.shape[0]):
+            f, least = flux[axis, a:b], alpha[axis, a:b]
+            here, behind = share[a:b], share[a - s[axis] : b - s[axis]]
+            for k in range(b - a):
+                before, after = behind[k], here[k]
+                giver = before if sign * f[k] > 0.0 else after
+                least[k] = giver if giver < least[k] else least[k]
