@@ -22,13 +22,13 @@ from scaleup import units
 from scaleup.conservative_bed import ConservativeBed, runs_of
 from scaleup.cut_cells import cut_fraction, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
+from scaleup.explicit_transport import ExplicitTransport
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
 from scaleup.flux_correction import FluxCorrection
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
 from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
-from scaleup.step_guard import LOOK_EVERY, StepGuard
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
 from scaleup.vessel_shape import froude_number, level_height, require_drum
 
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 __all__ = [
     "FULL",
     "GRAVITY",
-    "LOOK_EVERY",
     "Axis",
     "BoolArray",
     "ConservativeBed",
     "ContractError",
     "Diffusion",
+    "ExplicitTransport",
     "FloatArray",
     "Flow",
     "FlowField",
@@ -63,7 +63,6 @@ __all__ = [
     "Progress",
     "RunError",
     "Scene",
-    "StepGuard",
     "cut_fraction",
     "fill_to_volume",
     "fit_stream_function",

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from scaleup import flux_kernels as kernels
 from scaleup.flow_field import Interval
 from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 from scaleup.merged_cells import Groups, leaving_rate, merge, neighbours_below
@@ -74,6 +75,7 @@ class ConservativeBed:
     """One interval of a flow on a rank; arrays over cells are flattened local arrays.
 
     interval -- the flow
+    owned    -- positions of the owned active cells in flattened local arrays
     strides  -- offset to the next cell along each axis in a flattened local array
     flux     -- (dimension, cells) volume flux through the lower faces over a cell's volume, 1/s
     spread   -- (dimension, cells) diffusive conductance D_nn aperture/h^2 of the lower faces, 1/s;
@@ -82,8 +84,12 @@ class ConservativeBed:
     fraction -- mean fill fraction over the interval
     full     -- cells that are full all the time
     holds    -- cells that hold material all the time
-    moving   -- cells of the whole bed (positions in `interval.cells`) through whose faces anything
-                goes; all others keep their concentration
+    moving   -- cells of the whole bed through whose faces anything goes, (n,) bool
+    known    -- flat grid indices of the cells that carry a concentration
+    stable_step -- s, largest step of the scheme: `positive_step` unless the scheme says otherwise
+    updates  -- how many cells move; all others keep their concentration
+
+    After `settle`: groups (this rank's part), merged (all of the bed), runs, face_runs.
     """
 
     def __init__(
@@ -102,12 +108,11 @@ class ConservativeBed:
         self._full = least >= 1.0 - _ROUND_OFF
         self._least = np.where(least > _ROUND_OFF, least, 0.0)
         self._rate = leaving_rate(self._below, self._flux, self._spread)
-        self.moving = np.flatnonzero(
-            (self._rate > 0) | _entered(self._below, self._flux, self._spread)
-        )
-        self.updates = len(self.moving)
+        self.moving = _touched(self._below, self._flux, self._spread)
+        self.updates = int(self.moving.sum())
 
-        cells, shape = interval.cells, split.local_shape
+        self.known = cells = interval.cells
+        shape = split.local_shape
         self.strides = tuple(
             int(np.prod(shape[dim + 1 :]))
             for dim in (grid.array_axis(a) for a in range(grid.dimension))
@@ -119,10 +124,12 @@ class ConservativeBed:
         self.full = self._local(self._full)
         self.holds = self._local(self._least > 0)
         self._mine, where = split.owned_cells(cells)
-        self._owned = np.ravel_multi_index(where, shape)
+        self.owned = np.ravel_multi_index(where, shape)
         # the owned cells' place in local arrays, by place among all cells
         self._place = np.full(len(cells), -1, dtype=np.int64)
-        self._place[self._mine] = self._owned
+        self._place[self._mine] = self.owned
+        self.stable_step = self.positive_step
+        self.merged = Groups(np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))
 
     def _local(self, values: FloatArray | BoolArray) -> FloatArray:
         local = self.split.to_local(self.interval.cells, values)  # type: ignore[arg-type]
@@ -143,26 +150,24 @@ class ConservativeBed:
     def settle(self, dt: float) -> None:
         """Form the groups for steps of at most dt (s); collective, once per interval.
 
-        Sets `groups`, `runs` (of owned regular cells that move, (m, 2)) and `face_runs`: runs of
-        positions that hold the lower faces, along every axis, of the owned moving cells and of the
-        cells above those. Closes the faces inside groups.
+        Sets `merged`, `groups`, `runs` (of owned regular cells that move, (m, 2)) and `face_runs`:
+        runs of positions that hold the lower faces, along every axis, of the owned moving cells
+        and of the cells above those. Closes the faces inside groups.
         """
-        always = np.zeros(len(self._full), dtype=bool)
-        always[self.moving] = True
-        moving_mine = always & self._mine
-        always &= ~self._full
-        self._groups = merge(self._below, self._flux, self._spread, self._least, always, dt)
+        moving_mine = self.moving & self._mine
+        cut = self.moving & ~self._full
+        self.merged = merge(self._below, self._flux, self._spread, self._least, cut, dt)
         self.groups = self._local_groups()
         self._close_inner()
         place = self._place[moving_mine]
         self.face_runs = runs_of(
             np.unique(np.concatenate([place, *(place + s for s in self.strides)]))
         )
-        moving_mine[self._groups.members] = False
+        moving_mine[self.merged.members] = False
         self.runs = runs_of(np.sort(self._place[moving_mine]))
 
     def _local_groups(self) -> LocalGroups:
-        groups = self._groups
+        groups = self.merged
         number, count = groups.number, len(groups)
         start = np.bincount(number, weights=self._start[groups.members], minlength=count)
         rate = np.bincount(
@@ -188,7 +193,7 @@ class ConservativeBed:
 
     def _close_inner(self) -> None:
         group = np.full(len(self._full), -1, dtype=np.int64)
-        group[self._groups.members] = self._groups.number
+        group[self.merged.members] = self.merged.number
         for axis in range(self.grid.dimension):
             below = self._below[axis]
             inner = (below >= 0) & (group >= 0) & (group[below] == group)
@@ -206,15 +211,36 @@ class ConservativeBed:
         A group takes the mean weighted by what its cells hold at `time` (s), so that no content
         is lost.
         """
-        members, number = self._groups.members, self._groups.number
+        members, number = self.merged.members, self.merged.number
         weight = self.fraction_at(time)[members]
-        held = np.bincount(number, weights=weight, minlength=len(self._groups))
+        held = np.bincount(number, weights=weight, minlength=len(self.merged))
         result = values.copy()
         for row in result:
             mean = np.bincount(number, weights=weight * row[members], minlength=len(held))
             mean = np.divide(mean, held, out=mean, where=held > 0)
             row[members] = np.where(held[number] > 0, mean[number], row[members])
         return result
+
+    def bounds(self, values: FloatArray) -> tuple[float, float]:
+        """Least and greatest of all components, the last one included, where the bed moves.
+
+        Over all ranks (collective); infinite if any value is not a number.
+        """
+        low, high = kernels.bounds(values, self.runs, self.groups.members)
+        both = self.split.largest_of([-low, high])
+        return -both[0], both[1]
+
+    def worst(self, values: FloatArray) -> tuple[float, int]:
+        """(how far beyond [0, 1], position) of the worst value of any component on this rank."""
+        cells = np.concatenate([*(np.arange(a, b) for a, b in self.runs), self.groups.members])
+        if len(cells) == 0:
+            return -np.inf, 0
+        here = values[:, cells]
+        every = np.concatenate([here, 1.0 - here.sum(axis=0, keepdims=True)])
+        excess = np.maximum(-every, every - 1.0).max(axis=0)
+        excess = np.where(np.isnan(excess), np.inf, excess)
+        at = int(np.argmax(excess))
+        return float(excess[at]), int(cells[at])
 
     def fraction_at(self, time: float) -> FloatArray:
         """Fill fraction of the interval's cells at a time, (n,)."""
@@ -250,8 +276,8 @@ def _conductance(
 
 
 @numba.njit(cache=True)
-def _entered(below: IntArray, flux: FloatArray, spread: FloatArray) -> BoolArray:
-    """Cells that anything enters."""
+def _touched(below: IntArray, flux: FloatArray, spread: FloatArray) -> BoolArray:
+    """Cells through whose faces anything goes."""
     result = np.zeros(flux.shape[1], dtype=np.bool_)
     for axis in range(flux.shape[0]):
         for i in range(flux.shape[1]):

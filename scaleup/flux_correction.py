@@ -72,7 +72,7 @@ class FluxCorrection:
         bed, m, strides = self._bed, len(c), self._strides
         content, groups = self._content, bed.groups
         self.update(content, c, fluxes, start, end)
-        low, high = self.bounds(content[:m])
+        low, high = bed.bounds(content[:m])
         if -low <= _ROUND_OFF and high - 1.0 <= _ROUND_OFF:
             for k in range(m):
                 kernels.copy(c[k], content[k], bed.runs, groups.members)
@@ -98,28 +98,6 @@ class FluxCorrection:
             kernels.update_groups(
                 c[k], content[k], lost[k], one, after, groups.members, groups.first
             )
-
-    def bounds(self, values: FloatArray) -> tuple[float, float]:
-        """Least and greatest of all components, the last one included, where the bed moves.
-
-        Over all ranks (collective); infinite if any value is not a number.
-        """
-        low, high = kernels.bounds(values, self._bed.runs, self._bed.groups.members)
-        both = self._split.largest_of([-low, high])
-        return -both[0], both[1]
-
-    def worst(self, values: FloatArray) -> tuple[float, int]:
-        """(how far beyond [0, 1], position) of the worst value of any component on this rank."""
-        bed = self._bed
-        cells = np.concatenate([*(np.arange(a, b) for a, b in bed.runs), bed.groups.members])
-        if len(cells) == 0:
-            return -np.inf, 0
-        here = values[:, cells]
-        every = np.concatenate([here, 1.0 - here.sum(axis=0, keepdims=True)])
-        excess = np.maximum(-every, every - 1.0).max(axis=0)
-        excess = np.where(np.isnan(excess), np.inf, excess)
-        at = int(np.argmax(excess))
-        return float(excess[at]), int(cells[at])
 
     def _lost(self, fluxes: FloatArray) -> FloatArray:
         """What leaves each group, on whichever ranks it lies (collective)."""

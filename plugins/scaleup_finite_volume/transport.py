@@ -19,16 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scaleup.api import (
-    LOOK_EVERY,
     ConservativeBed,
+    ExplicitTransport,
     FloatArray,
     FluxCorrection,
-    IntArray,
     Interval,
     Ledger,
     MixingScene,
-    StepGuard,
-    spread_outwards,
 )
 from scaleup_finite_volume.fluxes import find_faces, high_order
 
@@ -36,11 +33,10 @@ if TYPE_CHECKING:
     from scaleup_finite_volume import FiniteVolume
 
 
-_OVERSHOOT = 1e-9  # beyond [0, 1]: the scheme keeps its bounds to round-off
+class Transport(ExplicitTransport[ConservativeBed]):
+    """The algorithm above on the cells that a rank owns."""
 
-
-class Transport:
-    """State and stepping. All components but the last are moved; the last is what remains."""
+    overshoot = 1e-9  # the scheme keeps its bounds to round-off
 
     def __init__(
         self,
@@ -49,65 +45,33 @@ class Transport:
         concentration: FloatArray,
         index: int,
     ):
-        self.scene, self.split = scene, scene.decomposition
-        moved = len(concentration) - 1
-        self._guard = StepGuard(
-            self.split, options.courant, options.time_step, _OVERSHOOT, scene.force
-        )
-        self._field = self.split.field(moved)
-        self._stages = [self.split.field(moved), self.split.field(moved)]
-        cells = self._field.flat.shape[1]
+        split, moved = scene.decomposition, len(concentration) - 1
+        self._stages = [split.field(moved), split.field(moved)]
+        cells = self._stages[0].flat.shape[1]
         self._fluxes = np.zeros((moved, scene.flow.grid.dimension, cells))
-        self._correction = FluxCorrection(self.split, moved)
-        interval = scene.flow.intervals[index]
-        self._enter(index, interval.cells, concentration[:-1])
+        self._correction = FluxCorrection(split, moved)
+        super().__init__(scene, options, concentration, index)
 
-    def stable_time_step(self, interval: Interval) -> float:
-        """Largest dt of positivity in full cells, s."""
-        if interval.start == self._bed.interval.start:
-            return self._bed.positive_step
-        return self._bed_of(interval).positive_step
-
-    def advance(self, index: int, start: float, end: float) -> Ledger:
-        """Equal steps within the limit."""
-        if index != self._index:
-            self._enter(index, self._bed.interval.cells, self._values())
-        stable = self._bed.positive_step
-        steps, dt = self._guard.steps(start, end, stable)
-        updates = steps * self._bed.updates * len(self._fluxes)
-        ledger = Ledger(steps=steps, cell_updates=updates, step_share=dt / stable)
-        for n in range(1, steps + 1):
-            now = start + (n - 1) * dt
-            self._step(now, start + n * dt)
-            if n % LOOK_EVERY == 0 or n == steps:
-                self._look(ledger, start + n * dt, dt)
-        return ledger
-
-    def concentration(self, interval: Interval) -> FloatArray:
-        """(components, n); cells that were not active take what is around them; sums to 1."""
-        grid, known = self.scene.flow.grid, self._bed.interval.cells
-        moved = spread_outwards(grid, known, self._values(), interval.cells)
-        return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
-
-    def _bed_of(self, interval: Interval) -> ConservativeBed:
+    def make_bed(self, interval: Interval) -> ConservativeBed:
+        """The bed as it is: the limit is that of positivity."""
         scene = self.scene
         return ConservativeBed(scene.flow.grid, self.split, interval, scene.tensor(interval))
 
-    def _enter(self, index: int, cells: IntArray, values: FloatArray) -> None:
-        """Take up the values (m, n) at `cells` on the bed of interval `index`."""
-        self._index, interval = index, self.scene.flow.intervals[index]
-        self._bed = bed = self._bed_of(interval)
-        bed.settle(max(bed.positive_step, self._guard.time_step or 0.0))
-        self._faces = find_faces(bed)
-        self._correction.enter(bed)
-        here = spread_outwards(self.scene.flow.grid, cells, values, interval.cells)
-        local = self.split.to_local(interval.cells, bed.enter(here, interval.start))
-        for field in (self._field, *self._stages):
-            field.array[...] = local
+    def entered(self) -> None:
+        """Sort the faces; cells at rest hold the same in every stage."""
+        self._faces = find_faces(self.bed)
+        self._correction.enter(self.bed)
+        for stage in self._stages:
+            stage.array[...] = self.field.array
+
+    def steps(self, start: float, dt: float, count: int, ledger: Ledger) -> None:
+        """Steps of the algorithm above."""
+        for n in range(count):
+            self._step(start + n * dt, start + (n + 1) * dt)
 
     def _step(self, start: float, end: float) -> None:
         dt = end - start
-        c = now = self._field.flat
+        c = now = self.field.flat
         for stage, share in zip(self._stages, (3, 2), strict=True):
             self._find_fluxes(now, dt / share)
             now = stage.flat
@@ -115,22 +79,8 @@ class Transport:
             stage.exchange()
         self._find_fluxes(now, dt)
         self._correction.apply(c, self._fluxes, start, end)
-        self._field.exchange()
+        self.field.exchange()
 
     def _find_fluxes(self, c: FloatArray, dt: float) -> None:
         for component, flux in zip(c, self._fluxes, strict=True):
-            high_order(flux, component, self._bed, self._faces, dt)
-
-    def _look(self, ledger: Ledger, time: float, dt: float) -> None:
-        c = self._field.flat
-        low, high = self._correction.bounds(c)
-        ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
-        self._guard.judge(
-            low, high, time, dt, self._bed.positive_step, lambda: self._correction.worst(c)
-        )
-
-    def _values(self) -> FloatArray:
-        """(m, n) at the bed's cells, collected on every rank."""
-        mine, where = self.split.owned_cells(self._bed.interval.cells)
-        owned = self._field.array[:, *where]
-        return self.split.gather(self._bed.interval.cells, owned, mine)
+            high_order(flux, component, self.bed, self._faces, dt)

@@ -1,43 +1,47 @@
-"""Mixing `lax-wendroff`: the explicit Taylor-Lax-Wendroff scheme of the source paper."""
+"""Mixing `lax-wendroff`: the explicit Taylor-Lax-Wendroff scheme, as printed and mended."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from scaleup.api import FloatArray, Interval, Ledger, MixingScene, PluginOptions
+from scaleup.api import FloatArray, Interval, Ledger, MixingScene, PluginOptions, units
 
 if TYPE_CHECKING:
-    from scaleup_lax_wendroff.transport import Transport
+    from scaleup.api import ExplicitTransport
 
 
 class LaxWendroff:
-    """Nodal finite differences on the cell centres, explicit in time. See `stencil`."""
+    """One explicit step over a compact stencil, second order; 2-D and 3-D, moving fills."""
 
     class Options(PluginOptions):
         """Form of the scheme and its step."""
 
-        form: Literal["corrected", "paper"] = "corrected"
-        """"corrected": flux form, conservative, full tensor, no clipping; "paper": Eq. 7-18 of the
-        paper exactly as printed, boundary nodes copied, clipped to [0, 1]"""
+        form: Literal["corrected", "flux-corrected", "paper"] = "corrected"
+        """"corrected": flux form, conservative, full tensor, unlimited; "flux-corrected": the same,
+        kept within [0, 1]; "paper": Eq. 7-18 of the paper exactly as printed, boundary nodes
+        copied, clipped to [0, 1]"""
         courant: Annotated[float, Field(gt=0, le=1)] = 0.95
         """share of the stable step that is used"""
+        time_step: units.Time | None = None
+        """s, in place of a share of the stable step; beyond that only with --force"""
 
-    halo: ClassVar[int] = 2
+    halo: ClassVar[int] = 8  # layers for several steps between two exchanges
 
     def __init__(self, options: Options):
         self.options = options
-        self._transport: Transport | None = None
+        self._transport: ExplicitTransport[Any] | None = None
 
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells."""
-        from scaleup_lax_wendroff.transport import Transport
+        from scaleup_lax_wendroff.transport import FORMS
 
-        self._transport = Transport(scene, self.options, concentration, index)
+        form = FORMS[self.options.form]
+        self._transport = form(scene, self.options, concentration, index)
 
     @property
-    def _running(self) -> Transport:
+    def _running(self) -> ExplicitTransport[Any]:
         if self._transport is None:
             raise RuntimeError("start() comes first")
         return self._transport

@@ -1,136 +1,147 @@
-"""form "corrected": the Taylor-Lax-Wendroff scheme in flux form.
+"""The Taylor-Lax-Wendroff scheme in flux form: form "corrected", and the high-order part of
+form "flux-corrected".
 
-Through the face between cells m and p (normal x; likewise y) the flux F (m^3/s) carries in a step
-the mean over the step of c at the face, c + dt/2 c_t with c_t = -v.grad c:
+Through the face between cells m and p (normal along axis a) the flux (share nu = F dt/V of a cell's
+volume in a step) carries the mean over the step of c at the face, c + dt/2 c_t with
+c_t = -v.grad c:
 
-    c_f = (c_m + c_p)/2 - nu/2 (c_p - c_m) - dt v_y/(8 dy) [N - S],  nu = F dt/(area dx),
-    [N - S] = c_mN + c_pN - c_mS - c_pS,
+    c_f = (c_m + c_p)/2 - nu/2 (c_p - c_m) - sum over the other axes b of nu_b/8 T_b,
+    T_b = c_m,b+ + c_p,b+ - c_m,b- - c_p,b-,  nu_b = v_b dt/h_b,
 
-and diffusion D_xx area/dx (c_m - c_p) - D_xy area/(4 dy) [N - S]. Each cell gains what its
-neighbour loses, so mass is kept to round-off (where the fill moves, to the first order in its
-change over an interval of the flow: the mean fill is taken for the cell's volume).
+and diffusion takes D_aa dt/h_a^2 (c_m - c_p) - D_ab dt/(4 h_a h_b) T_b. Each cell gains what its
+neighbour loses and fills follow the same fluxes, so mass is kept to round-off, on moving fills too.
 
 For uniform v and D the stencil is that of Eq. 7 with the sign of Eq. 8 and the 1/dx of Eq. 17
 mended and D_xy kept, so its stability limit is the same. Where v varies, the flux form holds the
 term -dt/2 (v.grad) v that Eq. 7 lacks, and the scheme is second order in space and time for D = 0.
 (With D > 0 terms of order D dt remain.)
 
-Faces of cut cells are treated upwind, c_f = c of the cell that the flux comes from, with D_nn on
-the area times the smaller fill fraction. A cut cell into which a step brings more than it holds
-is stepped implicitly in its own c; weights stay positive and sum to 1, so that no cell, however
-little it holds, limits the step (what such cells hold is the error in mass; it does not add up).
+Faces of cut cells are treated upwind, c_f = c of the cell that the flux comes from, with D_aa on
+the smaller fill fraction beside the face; cut cells that hold little are merged.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
-from scaleup.api import FULL, BoolArray, FloatArray
-from scaleup_lax_wendroff.stencil import NE, NW, SE, SW, E, N, S, W
+from scaleup.api import ConservativeBed, FloatArray, IntArray
+from scaleup_lax_wendroff.stencil import Offset, neighbours
 
 
 @dataclass(frozen=True)
-class LocalFlow:
-    """A flow on a rank's local array, at least two ghost layers wide; arrays are (rows, columns).
+class FaceCoefficients:
+    """What a step of dt takes through the lower faces, in shares of a cell's volume.
 
-    fill     -- m^3; flux -- (2, ...) through the lower faces, m^3/s
-    tensor   -- (2, 2, ...) m^2/s
-    spacing, areas -- of cells (m) and of faces normal to x and y (m^2)
-    cell_volume    -- m^3
+    behind, here -- (dimension, cells): the flux is behind c_m + here c_p + sum_b twist_b T_b
+    twist -- (other axes, dimension, cells); row t of axis a belongs to the t-th other axis
     """
 
-    fill: FloatArray
-    flux: FloatArray
-    tensor: FloatArray
-    spacing: tuple[float, ...]
-    areas: tuple[float, ...]
-    cell_volume: float
-
-    @property
-    def full(self) -> BoolArray:
-        """Cells full of material."""
-        result: BoolArray = self.fill >= FULL * self.cell_volume
-        return result
-
-    def courant_numbers(self, dt: float) -> tuple[FloatArray, FloatArray]:
-        """(nu, shape (2, ...), the greater of a cell's two faces; mu, shape (2, 2, ...))."""
-        nu = np.empty_like(self.flux)
-        for axis in (0, 1):
-            low = np.abs(self.flux[axis])
-            speed = np.maximum(low, _ahead(low, axis)) / self.areas[axis]
-            nu[axis] = speed * dt / self.spacing[axis]
-        h = np.array(self.spacing)
-        return nu, self.tensor * dt / (h[:, None] * h[None, :])[:, :, None, None]
+    behind: FloatArray
+    here: FloatArray
+    twist: FloatArray
 
 
-def weights(flow: LocalFlow, dt: float) -> FloatArray:
-    """Stencil weights for a step, (8, ...); right wherever two layers of neighbours are there."""
-    total = np.zeros((8, *flow.fill.shape))
-    # positions of the stencil around the lower face of a cell: cell behind, and the transverse
-    # neighbours of both cells, (behind, here) on the upper and on the lower side
-    _add_faces(total, flow, dt, 0, (W, E), ((NW, N), (SW, S)), ((N, NE), (S, SE)))
-    _add_faces(total, flow, dt, 1, (S, N), ((SE, E), (SW, W)), ((E, NE), (W, NW)))
-    brought = total.sum(axis=0)
-    implicit = ~flow.full & (brought > flow.fill)
-    volume = np.where(implicit, flow.fill + brought, flow.fill)
-    return np.divide(total, volume, out=np.zeros_like(total), where=volume > 0)
+def courant_numbers(bed: ConservativeBed, dt: float) -> tuple[FloatArray, FloatArray]:
+    """(nu, (dimension, cells), the greater of a cell's two faces; mu, (dimension, dimension, cells))."""
+    low = np.abs(bed.flux)
+    nu = dt * np.stack(
+        [np.maximum(low[a], bed.shifted(low[a], a, 1)) for a in range(bed.grid.dimension)]
+    )
+    h = np.array(bed.grid.spacing)
+    return nu, bed.tensor * dt / (h[:, None] * h[None, :])[:, :, None]
 
 
-def _add_faces(
-    total: FloatArray,
-    flow: LocalFlow,
-    dt: float,
-    axis: int,
-    beside: tuple[int, int],
-    around_low: tuple[tuple[int, int], tuple[int, int]],
-    around_high: tuple[tuple[int, int], tuple[int, int]],
+def coefficients(bed: ConservativeBed, dt: float) -> FaceCoefficients:
+    """Coefficients of a settled bed; right wherever two layers of neighbours are there."""
+    dimension, h = bed.grid.dimension, bed.grid.spacing
+    behind, here = np.empty_like(bed.flux), np.empty_like(bed.flux)
+    twist = np.zeros((dimension - 1, *bed.flux.shape))
+    for a in range(dimension):
+        others = [b for b in range(dimension) if b != a]
+        beside = np.ones_like(bed.holds)
+        for b in others:
+            around = bed.holds & bed.shifted(bed.holds, b, 1) & bed.shifted(bed.holds, b, -1)
+            beside &= around & bed.shifted(around, a, -1)
+        smooth = bed.full & bed.shifted(bed.full, a, -1) & beside
+        nu, spread = bed.flux[a] * dt, bed.spread[a] * dt
+        share = np.where(smooth, 0.5 * (1.0 + nu), (nu > 0).astype(float))
+        behind[a] = nu * share + spread
+        here[a] = nu * (1.0 - share) - spread
+        passes = smooth & ((bed.flux[a] != 0) | (bed.spread[a] != 0))
+        for row, b in enumerate(others):
+            across = bed.flux[b] + bed.shifted(bed.flux[b], b, 1)
+            across = 0.25 * dt * (across + bed.shifted(across, a, -1))
+            mixed = 0.5 * (bed.tensor[a, b] + bed.shifted(bed.tensor[a, b], a, -1))
+            both = -nu * across / 8 - mixed * dt / (4 * h[a] * h[b])
+            twist[row, a] = np.where(passes, both, 0.0)
+    return FaceCoefficients(behind, here, twist)
+
+
+def weights(bed: ConservativeBed, dt: float) -> FloatArray:
+    """Stencil weights for a step, (8 or 18, cells), in the order of `neighbours`.
+
+    The cell's own concentration is the reference: a weight multiplies c_k - c. Those of a cut cell
+    are shares of a whole cell, still to be divided by what it holds.
+    """
+    dimension, faces = bed.grid.dimension, coefficients(bed, dt)
+    place = {offset: n for n, offset in enumerate(neighbours(dimension))}
+    total = np.zeros((len(place), bed.flux.shape[1]))
+
+    def add(values: FloatArray, *steps: tuple[int, int]) -> None:
+        total[place[_offset(dimension, *steps)]] += values
+
+    for a in range(dimension):
+        # lower face: gains; upper face (the lower face of the cell ahead): losses
+        add(faces.behind[a], (a, -1))
+        add(-bed.shifted(faces.here[a], a, 1), (a, 1))
+        for row, b in enumerate(b for b in range(dimension) if b != a):
+            low = faces.twist[row, a]
+            high = bed.shifted(low, a, 1)
+            for sign in (1, -1):
+                add(sign * low, (b, sign))
+                add(sign * low, (a, -1), (b, sign))
+                add(-sign * high, (b, sign))
+                add(-sign * high, (a, 1), (b, sign))
+    return total
+
+
+def _offset(dimension: int, *steps: tuple[int, int]) -> Offset:
+    offset = [0] * dimension
+    for axis, by in steps:
+        offset[axis] += by
+    return tuple(offset)
+
+
+@numba.njit(cache=True)
+def face_fluxes(
+    out: FloatArray,
+    c: FloatArray,
+    behind: FloatArray,
+    here: FloatArray,
+    twist: FloatArray,
+    runs: IntArray,
+    strides: tuple[int, ...],
 ) -> None:
-    """Add what the faces normal to `axis` bring to each cell, in volume per step.
-
-    The concentration of the cell itself is the reference: a weight multiplies c_k - c. All arrays
-    here belong to the lower face of a cell, between the cell behind and the cell here.
-    """
-    other = 1 - axis
-    here_full, holds = flow.full, flow.fill > 0
-    neighbours = holds & _ahead(holds, other) & _behind(holds, other)
-    smooth = here_full & _behind(here_full, axis) & neighbours & _behind(neighbours, axis)
-
-    moved = flow.flux[axis] * dt
-    nu = moved / (flow.areas[axis] * flow.spacing[axis])
-    share_behind = np.where(smooth, 0.5 * (1.0 + nu), (moved > 0).astype(float))
-
-    across = flow.flux[other] + _ahead(flow.flux[other], other)
-    across = 0.25 * (across + _behind(across, axis)) / flow.areas[other]
-    twist = -moved * across * dt / (8 * flow.spacing[other])
-    mixed = 0.5 * (flow.tensor[axis, other] + _behind(flow.tensor[axis, other], axis))
-    twist -= mixed * dt * flow.areas[axis] / (4 * flow.spacing[other])
-    twist = np.where(smooth, twist, 0.0)
-
-    fraction = flow.fill / flow.cell_volume
-    aperture = np.minimum(fraction, _behind(fraction, axis))
-    normal = 0.5 * (flow.tensor[axis, axis] + _behind(flow.tensor[axis, axis], axis))
-    spread = normal * dt * aperture * flow.areas[axis] / flow.spacing[axis]
-
-    behind, ahead = beside
-    # lower face: gains; upper face (the lower face of the cell ahead): losses
-    total[behind] += moved * share_behind + spread
-    total[ahead] += _ahead(spread - moved * (1.0 - share_behind), axis)
-    for sign, (low, high) in zip(
-        (1.0, -1.0), zip(around_low, around_high, strict=True), strict=True
-    ):
-        for place in low:
-            total[place] += sign * twist
-        for place in high:
-            total[place] -= sign * _ahead(twist, axis)
-
-
-def _ahead(values: FloatArray, axis: int) -> FloatArray:
-    """The value of the next cell along an axis (0 = x)."""
-    return np.roll(values, -1, values.ndim - 1 - axis)
-
-
-def _behind(values: FloatArray, axis: int) -> FloatArray:
-    """The value of the cell before along an axis (0 = x)."""
-    return np.roll(values, 1, values.ndim - 1 - axis)
+    """Fluxes of a component through the faces in the runs; out (dimension, cells)."""
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        for axis in range(out.shape[0]):
+            s = strides[axis]
+            f, m, p = out[axis, a:b], behind[axis, a:b], here[axis, a:b]
+            c_m, c_p = c[a - s : b - s], c[a:b]
+            for k in range(b - a):
+                f[k] = m[k] * c_m[k] + p[k] * c_p[k]
+            row = 0
+            for other in range(out.shape[0]):
+                if other == axis:
+                    continue
+                t = strides[other]
+                x = twist[row, axis, a:b]
+                up, up_m = c[a + t : b + t], c[a + t - s : b + t - s]
+                down, down_m = c[a - t : b - t], c[a - t - s : b - t - s]
+                for k in range(b - a):
+                    f[k] += x[k] * (up_m[k] + up[k] - down_m[k] - down[k])
+                row += 1

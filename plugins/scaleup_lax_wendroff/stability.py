@@ -1,14 +1,14 @@
 """Stability of the Taylor-Lax-Wendroff stencil, frozen coefficients.
 
-With nu_i = v_i dt/dx_i and mu_ij = D_ij dt/(dx_i dx_j), the amplification g of a wave with phase
-angles (t_x, t_y) per cell is, exactly,
+With nu_i = v_i dt/h_i and mu_ij = D_ij dt/(h_i h_j), the amplification g of a wave with phase
+angles t_i per cell is, exactly,
 
-    |g|^2 = (1 - A)^2 + B^2,   B = nu_x sin t_x + nu_y sin t_y,
-    A = sum_i (nu_i^2 + 2 mu_ii)(1 - cos t_i) + (nu_x nu_y + 2 mu_xy) sin t_x sin t_y.
+    |g|^2 = (1 - A)^2 + B^2,   B = sum_i nu_i sin t_i,
+    A = sum_i (nu_i^2 + 2 mu_ii)(1 - cos t_i) + sum_{i<j} (nu_i nu_j + 2 mu_ij) sin t_i sin t_j.
 
 Sufficient for |g| <= 1 (no false 'stable') is
 
-    (|nu_x|^(2/3) + |nu_y|^(2/3))^3 + 2 (mu_xx + mu_yy) <= 1.
+    (sum_i |nu_i|^(2/3))^3 + 2 sum_i mu_ii <= 1.
 """
 
 from __future__ import annotations
@@ -19,17 +19,30 @@ from scaleup.api import FloatArray
 
 
 def stability_number(nu: FloatArray, mu: FloatArray) -> FloatArray:
-    """Left side of the sufficient condition; stable where <= 1. nu (2, ...), mu (2, 2, ...)."""
+    """Left side of the sufficient condition, stable where <= 1; nu (d, ...), mu (d, d, ...)."""
     advective: FloatArray = (np.abs(nu) ** (2 / 3)).sum(axis=0) ** 3
-    return advective + 2 * (mu[0, 0] + mu[1, 1])
+    return advective + 2 * sum(mu[i, i] for i in range(len(nu)))
 
 
 def amplification(nu: FloatArray, mu: FloatArray, theta: FloatArray) -> FloatArray:
-    """|g|^2 for phase angles theta (2, ...)."""
+    """|g| of waves with phase angles theta (d, ...)."""
     cosine, sine = np.cos(theta), np.sin(theta)
-    real = (nu[0] * nu[1] + 2 * mu[0, 1]) * sine[0] * sine[1]
-    for axis in (0, 1):
-        real = real + (nu[axis] ** 2 + 2 * mu[axis, axis]) * (1 - cosine[axis])
-    imaginary = nu[0] * sine[0] + nu[1] * sine[1]
-    squared: FloatArray = (1 - real) ** 2 + imaginary**2
-    return squared
+    real = sum((nu[i] ** 2 + 2 * mu[i, i]) * (1 - cosine[i]) for i in range(len(nu)))
+    for i in range(len(nu)):
+        for j in range(i):
+            real = real + (nu[i] * nu[j] + 2 * mu[i, j]) * sine[i] * sine[j]
+    imaginary = sum(nu[i] * sine[i] for i in range(len(nu)))
+    size: FloatArray = np.sqrt((1 - real) ** 2 + imaginary**2)
+    return size
+
+
+def largest_step(nu: FloatArray, mu: FloatArray) -> float:
+    """Largest dt (s) within the sufficient condition; nu (d, n) and mu (d, d, n) are those of 1 s.
+
+    The condition is a dt^2 + b dt <= 1 with a = (sum |nu|^(2/3))^3, b = 2 sum mu_ii. Infinite if
+    nothing moves.
+    """
+    b = 2 * np.array([mu[i, i] for i in range(len(nu))]).sum(axis=0)
+    a = stability_number(nu, mu) - b
+    slowest = (b + np.sqrt(b**2 + 4 * a)).max(initial=0.0)
+    return float(2.0 / slowest) if slowest > 0 else np.inf

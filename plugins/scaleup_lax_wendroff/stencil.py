@@ -1,45 +1,139 @@
-"""The nine-point stencil: what a step is once its weights are known."""
+"""The stencil of a step: which neighbours it has, and what a step is once its weights are known.
+
+A step is new = c + sum_k weights_k (c_k - c) over the 8 neighbours of a cell in 2-D, and in 3-D
+over the 18 that share a face or an edge with it. A uniform c is kept exactly whatever the weights.
+"""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numba
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.api import BoolArray, FloatArray, IntArray
 
-# the neighbours, in the order of the weights' first axis
-SW, S, SE, W, E, NW, N, NE = range(8)
+Offset = tuple[int, ...]  # in cells along x, y (, z)
+_EMPTY = 1e-14  # fill fraction at which a group counts as empty
+
+
+def neighbours(dimension: int) -> list[Offset]:
+    """Offsets of the neighbours, in the order of the weights' first axis."""
+    offsets = [o[::-1] for o in product((-1, 0, 1), repeat=dimension)]
+    return [o for o in offsets if 1 <= sum(abs(i) for i in o) <= 2]
 
 
 @numba.njit(cache=True)
-def step(c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, width: int) -> None:
-    """One step, new = c + sum_k weights_k (c_k - c), on flattened arrays in runs [start, stop).
+def step(
+    c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, strides: IntArray
+) -> None:
+    """One step of the cells in the runs (m, 2) of flattened local arrays.
 
-    weights -- (8, cells) in the order SW ... NE; width -- length of a row. A uniform c is
-    kept exactly whatever the weights are.
+    weights -- (8 or 18, cells); strides -- offset of each neighbour, in the same order
     """
+    if len(strides) == 8:
+        _step_8(c, new, weights, runs, strides)
+    else:
+        _step_18(c, new, weights, runs, strides)
+
+
+@numba.njit
+def _step_8(
+    c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, s: IntArray
+) -> None:
     for r in range(runs.shape[0]):
         # views that start at 0: no index can be negative, so the inner loop is vectorised
         a, b = runs[r, 0], runs[r, 1]
         here, out = c[a:b], new[a:b]
-        west, east = c[a - 1 : b - 1], c[a + 1 : b + 1]
-        south, north = c[a - width : b - width], c[a + width : b + width]
-        south_west, south_east = c[a - width - 1 : b - width - 1], c[a - width + 1 : b - width + 1]
-        north_west, north_east = c[a + width - 1 : b + width - 1], c[a + width + 1 : b + width + 1]
+        c0, c1, c2, c3 = c[a + s[0] :], c[a + s[1] :], c[a + s[2] :], c[a + s[3] :]
+        c4, c5, c6, c7 = c[a + s[4] :], c[a + s[5] :], c[a + s[6] :], c[a + s[7] :]
         w0, w1, w2, w3 = weights[0, a:b], weights[1, a:b], weights[2, a:b], weights[3, a:b]
         w4, w5, w6, w7 = weights[4, a:b], weights[5, a:b], weights[6, a:b], weights[7, a:b]
         for k in range(b - a):
             p = here[k]
             out[k] = p + (
-                w3[k] * (west[k] - p)
-                + w4[k] * (east[k] - p)
-                + w1[k] * (south[k] - p)
-                + w6[k] * (north[k] - p)
-                + w0[k] * (south_west[k] - p)
-                + w2[k] * (south_east[k] - p)
-                + w5[k] * (north_west[k] - p)
-                + w7[k] * (north_east[k] - p)
+                w0[k] * (c0[k] - p)
+                + w1[k] * (c1[k] - p)
+                + w2[k] * (c2[k] - p)
+                + w3[k] * (c3[k] - p)
+                + w4[k] * (c4[k] - p)
+                + w5[k] * (c5[k] - p)
+                + w6[k] * (c6[k] - p)
+                + w7[k] * (c7[k] - p)
             )
+
+
+@numba.njit
+def _step_18(
+    c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, s: IntArray
+) -> None:
+    for r in range(runs.shape[0]):
+        a, b = runs[r, 0], runs[r, 1]
+        here, out = c[a:b], new[a:b]
+        c0, c1, c2, c3 = c[a + s[0] :], c[a + s[1] :], c[a + s[2] :], c[a + s[3] :]
+        c4, c5, c6, c7 = c[a + s[4] :], c[a + s[5] :], c[a + s[6] :], c[a + s[7] :]
+        c8 = c[a + s[8] :]
+        w0, w1, w2, w3 = weights[0, a:b], weights[1, a:b], weights[2, a:b], weights[3, a:b]
+        w4, w5, w6, w7 = weights[4, a:b], weights[5, a:b], weights[6, a:b], weights[7, a:b]
+        w8 = weights[8, a:b]
+        for k in range(b - a):
+            p = here[k]
+            out[k] = p + (
+                w0[k] * (c0[k] - p)
+                + w1[k] * (c1[k] - p)
+                + w2[k] * (c2[k] - p)
+                + w3[k] * (c3[k] - p)
+                + w4[k] * (c4[k] - p)
+                + w5[k] * (c5[k] - p)
+                + w6[k] * (c6[k] - p)
+                + w7[k] * (c7[k] - p)
+                + w8[k] * (c8[k] - p)
+            )
+        # a second sweep over the run, which is in the cache: fewer streams at a time
+        c9, c10, c11 = c[a + s[9] :], c[a + s[10] :], c[a + s[11] :]
+        c12, c13, c14 = c[a + s[12] :], c[a + s[13] :], c[a + s[14] :]
+        c15, c16, c17 = c[a + s[15] :], c[a + s[16] :], c[a + s[17] :]
+        w9, w10, w11 = weights[9, a:b], weights[10, a:b], weights[11, a:b]
+        w12, w13, w14 = weights[12, a:b], weights[13, a:b], weights[14, a:b]
+        w15, w16, w17 = weights[15, a:b], weights[16, a:b], weights[17, a:b]
+        for k in range(b - a):
+            p = here[k]
+            out[k] += (
+                w9[k] * (c9[k] - p)
+                + w10[k] * (c10[k] - p)
+                + w11[k] * (c11[k] - p)
+                + w12[k] * (c12[k] - p)
+                + w13[k] * (c13[k] - p)
+                + w14[k] * (c14[k] - p)
+                + w15[k] * (c15[k] - p)
+                + w16[k] * (c16[k] - p)
+                + w17[k] * (c17[k] - p)
+            )
+
+
+@numba.njit(cache=True)
+def step_groups(
+    c: FloatArray,
+    new: FloatArray,
+    weights: FloatArray,
+    strides: IntArray,
+    members: IntArray,
+    first: IntArray,
+    usable: BoolArray,
+    after: FloatArray,
+) -> None:
+    """The same for merged cells, whose weights are shares of a whole cell; `after`: their fill."""
+    for g in range(len(first) - 1):
+        if not usable[g] or after[g] <= _EMPTY:
+            continue
+        value, gain = c[members[first[g]]], 0.0
+        for i in range(first[g], first[g + 1]):
+            k = members[i]
+            for n in range(len(strides)):
+                gain += weights[n, k] * (c[k + strides[n]] - value)
+        value += gain / after[g]
+        for i in range(first[g], first[g + 1]):
+            new[members[i]] = value
 
 
 @numba.njit(cache=True)
@@ -56,6 +150,8 @@ def clip(c: FloatArray, fill: FloatArray, runs: IntArray) -> tuple[float, float,
     for r in range(runs.shape[0]):
         for k in range(runs[r, 0], runs[r, 1]):
             value = c[k]
+            if value != value:
+                return -np.inf, np.inf, moved
             low, high = min(low, value), max(high, value)
             if value < 0.0:
                 moved -= value * fill[k]
@@ -64,26 +160,3 @@ def clip(c: FloatArray, fill: FloatArray, runs: IntArray) -> tuple[float, float,
                 moved += (value - 1.0) * fill[k]
                 c[k] = 1.0
     return low, high, moved
-
-
-@numba.njit(cache=True)
-def bounds(c: FloatArray, runs: IntArray) -> tuple[float, float]:
-    """(minimum, maximum) over the runs; infinite if any value is not a number."""
-    low, high = np.inf, -np.inf
-    for r in range(runs.shape[0]):
-        for k in range(runs[r, 0], runs[r, 1]):
-            value = c[k]
-            if value != value:
-                return -np.inf, np.inf
-            low, high = min(low, value), max(high, value)
-    return low, high
-
-
-def runs_of(positions: IntArray) -> IntArray:
-    """Contiguous runs [start, stop) of ascending flat positions, shape (m, 2)."""
-    if len(positions) == 0:
-        return np.zeros((0, 2), dtype=np.int64)
-    breaks = np.flatnonzero(np.diff(positions) != 1)
-    starts = positions[np.concatenate([[0], breaks + 1])]
-    stops = positions[np.concatenate([breaks, [len(positions) - 1]])] + 1
-    return np.stack([starts, stops], axis=1)

@@ -1,0 +1,133 @@
+"""What all explicit mixing backends share: intervals entered, steps within the limit, values judged.
+
+A backend derives from `ExplicitTransport`, says how a bed is made ready for it and how steps are
+done, and gets the rest: concentrations carried from one interval of the flow to the next without
+loss of content, equal steps within the stable one, and a look at the values every 50 steps.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from scaleup.conservative_bed import ConservativeBed
+from scaleup.flow_field import Interval
+from scaleup.grid import FloatArray, IntArray
+from scaleup.spread import spread_outwards
+from scaleup.step_guard import LOOK_EVERY, StepGuard
+
+if TYPE_CHECKING:
+    from scaleup.api import Ledger, MixingScene
+    from scaleup.decomposition import GhostedField
+
+
+class StepOptions(Protocol):
+    """The options that choose the step."""
+
+    @property
+    def courant(self) -> float:
+        """Share of the stable step that is used."""
+
+    @property
+    def time_step(self) -> float | None:
+        """s, in place of a share of the stable step."""
+
+
+AnyBed = TypeVar("AnyBed", bound=ConservativeBed)
+
+
+class ExplicitTransport(ABC, Generic[AnyBed]):
+    """State and stepping on a rank. All components but the last are moved; it is what remains.
+
+    field -- concentrations now, all components but the last
+    bed   -- of the interval that `field` is on
+    """
+
+    overshoot: float
+    """how far beyond [0, 1] the scheme may go while it is stable"""
+
+    def __init__(
+        self, scene: MixingScene, options: StepOptions, concentration: FloatArray, index: int
+    ):
+        self.scene, self.split = scene, scene.decomposition
+        self.moved = len(concentration) - 1
+        self.field: GhostedField = self.split.field(self.moved)
+        self._guard = StepGuard(
+            self.split, options.courant, options.time_step, self.overshoot, scene.force
+        )
+        self._enter(index, scene.flow.intervals[index].cells, concentration[:-1])
+
+    @abstractmethod
+    def make_bed(self, interval: Interval) -> AnyBed:
+        """The bed of an interval, its `stable_step` known but not settled yet."""
+
+    @abstractmethod
+    def entered(self) -> None:
+        """Prepare for the settled `self.bed`, whose concentrations are in `self.field`."""
+
+    @abstractmethod
+    def steps(self, start: float, dt: float, count: int, ledger: Ledger) -> None:
+        """Do `count` steps (at most `LOOK_EVERY`) from `start` (s, in the interval); collective."""
+
+    def bounds(self) -> tuple[float, float]:
+        """Least and greatest of any component, before any clipping, on all ranks (collective)."""
+        return self.bed.bounds(self.field.flat)
+
+    def worst(self) -> tuple[float, int]:
+        """(how far beyond [0, 1], position in local arrays) of this rank's worst value."""
+        return self.bed.worst(self.field.flat)
+
+    def stable_time_step(self, interval: Interval) -> float:
+        """Largest step within the scheme's limit, s (collective)."""
+        if interval.start == self.bed.interval.start:
+            return self.bed.stable_step
+        return self.make_bed(interval).stable_step
+
+    def advance(self, index: int, start: float, end: float) -> Ledger:
+        """Equal steps within the limit (collective)."""
+        from scaleup.api import Ledger  # the api offers this module too
+
+        if index != self._index:
+            self._enter(index, self.bed.known, self._values())
+        stable = self.bed.stable_step
+        count, dt = self._guard.steps(start, end, stable)
+        updates = count * self.bed.updates * self.moved
+        ledger = Ledger(steps=count, cell_updates=updates, step_share=dt / stable)
+        done = 0
+        while done < count:
+            block = min(LOOK_EVERY, count - done)
+            self.steps(start + done * dt, dt, block, ledger)
+            done += block
+            low, high = self.bounds()
+            ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
+            self._guard.judge(low, high, start + done * dt, dt, stable, self.worst)
+        return ledger
+
+    def concentration(self, interval: Interval) -> FloatArray:
+        """(components, n) on the interval's cells, on every rank; sums to 1 (collective).
+
+        Cells that carry no value take what is around them.
+        """
+        grid = self.scene.flow.grid
+        moved = spread_outwards(grid, self.bed.known, self._values(), interval.cells)
+        return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
+
+    def _enter(self, index: int, cells: IntArray, values: FloatArray) -> None:
+        """Take up the values (m, n) at `cells` on the bed of interval `index`."""
+        flow = self.scene.flow
+        self._index, interval = index, flow.intervals[index]
+        self.bed: AnyBed = self.make_bed(interval)
+        lasts_for_ever = flow.steady and index == flow.prefix
+        longest = np.inf if lasts_for_ever else interval.duration
+        self.bed.settle(min(longest, max(self.bed.stable_step, self._guard.time_step or 0.0)))
+        here = spread_outwards(flow.grid, cells, values, interval.cells)
+        entering = self.bed.enter(here, interval.start)
+        self.field.array[...] = self.split.to_local(interval.cells, entering)
+        self.entered()
+
+    def _values(self) -> FloatArray:
+        """(m, n) at the bed's known cells, collected on every rank."""
+        mine, where = self.split.owned_cells(self.bed.known)
+        return self.split.gather(self.bed.known, self.field.array[:, *where], mine)
