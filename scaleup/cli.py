@@ -18,7 +18,7 @@ import click
 
 import scaleup
 from scaleup import registry
-from scaleup.config import PLUGIN_SECTIONS, compose
+from scaleup.config import PLUGIN_SECTIONS, compose, plugin_options
 from scaleup.errors import InputError, ScaleupError, file_error
 from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
 
@@ -46,6 +46,7 @@ def cli() -> None:
 )
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder [runs/NAME-TIME].")
 @click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
+@click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
 def simulate(
     config: Path | None,
     geometry: str | None,
@@ -57,6 +58,7 @@ def simulate(
     assignments: Sequence[str],
     output: Path | None,
     overwrite: bool,
+    force: bool,
 ) -> None:
     """Blend a powder: flow, mixing, metrics and report.
 
@@ -85,13 +87,14 @@ def simulate(
         if output is None:  # all ranks must agree on the folder's name
             sys.argv += ["--output", str(folder)]
     relaunch_if_needed(ranks)
-    _run(run_config, folder, overwrite=overwrite, resume=False)
+    _run(run_config, folder, overwrite=overwrite, resume=False, force=force)
 
 
 @cli.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--ranks", type=int, help="Number of MPI ranks.")
-def resume(folder: Path, ranks: int | None) -> None:
+@click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
+def resume(folder: Path, ranks: int | None, force: bool) -> None:
     """Go on with a run that was killed; FOLDER is what --output was."""
     from scaleup.output_folder import check_output, work_folder
 
@@ -100,7 +103,53 @@ def resume(folder: Path, ranks: int | None) -> None:
         check_output(folder, overwrite=False, resume=True)
     config = compose(work_folder(folder) / "config.toml")
     relaunch_if_needed(ranks)
-    _run(config, folder, overwrite=True, resume=True)
+    _run(config, folder, overwrite=True, resume=True, force=force)
+
+
+@cli.command()
+@click.argument("backend", required=False)
+@click.option(
+    "--set", "assignments", multiple=True, metavar="mixing.KEY=VALUE", help="Set its options."
+)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("stability"),
+    show_default=True,
+    help="Folder for CSV and PNG.",
+)
+def stability(backend: str | None, assignments: Sequence[str], output: Path) -> None:
+    """Draw where a mixing backend is stable: stated limit against measured growth.
+
+    BACKEND is an installed mixing backend; without it all are drawn.
+    """
+    names = [backend] if backend else list(registry.available("mixing"))
+    chosen = {name: plugin_options("mixing", name, assignments) for name in names}
+    for name, options in chosen.items():
+        if "time_step" not in type(options).model_fields:
+            raise InputError(
+                f"BACKEND = {name!r}: has no option time_step, so that it cannot be driven beyond "
+                "its limit"
+            )
+    from scaleup import parallel
+
+    comm = parallel.start()
+    from scaleup import figures, stability_map
+    from scaleup.progress import Reporter
+
+    _log_to_terminal(True)
+    output.mkdir(parents=True, exist_ok=True)
+    for name, options in chosen.items():
+        make = stability_map.maker(registry.load("mixing", name), options)
+        with Reporter(f"stability of {name}", visible=True) as progress:
+            boundaries = stability_map.map_stability(make, comm, progress=progress)
+        stability_map.write_csv(output / f"{name}.csv", boundaries)
+        figures.stability(output / f"{name}.png", name, boundaries)
+        wrong = [b for b in boundaries if b.stated > b.growth * (1 + 1e-2)]
+        click.echo(
+            f"{name}: {len(boundaries)} rays, stated limit beyond the measured one on "
+            f"{len(wrong)}; {output / name}.csv, .png"
+        )
 
 
 @cli.group()
@@ -180,14 +229,14 @@ def main() -> None:
         sys.exit(2)
 
 
-def _run(config: Any, folder: Path, *, overwrite: bool, resume: bool) -> None:
+def _run(config: Any, folder: Path, *, overwrite: bool, resume: bool, force: bool) -> None:
     from scaleup import parallel
 
     comm = parallel.start()
     from scaleup.pipeline import run
 
     _log_to_terminal(comm.rank == 0)
-    run(config, folder, comm, overwrite=overwrite, resume=resume)
+    run(config, folder, comm, overwrite=overwrite, resume=resume, force=force)
     if comm.rank == 0:
         _print_summary(folder)
 

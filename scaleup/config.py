@@ -144,6 +144,18 @@ def compose(
     return config
 
 
+def plugin_options(kind: Kind, name: str, assignments: Iterable[str]) -> Any:
+    """A plugin's Options from texts `kind.key=value`. Raises InputError."""
+    tables: dict[str, Any] = {}
+    for text in assignments:
+        tables = _merged(tables, _assigned(text), within_layer=True)
+    for section in tables:
+        if section != kind:
+            raise InputError(f"--set {section}: only keys of {kind} can be set here")
+    plugin = registry.load(kind, name)
+    return _validated(plugin.Options, tables.get(kind, {}), f"{kind}.")
+
+
 def _check_together(config: RunConfig) -> None:
     """What one section alone cannot know. Raises InputError."""
     geometry = config.plugin("geometry")

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numba
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition
 
 _ROUND_OFF = 1e-14  # of a cell's volume
+_LEAST = 1e-3  # fill fraction below which a cell never sets the step
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class ConservativeBed:
     holds    -- cells that hold material all the time
     moving   -- cells of the whole bed through whose faces anything goes, (n,) bool
     known    -- flat grid indices of the cells that carry a concentration
-    stable_step -- s, largest step of the scheme: `positive_step` unless the scheme says otherwise
+    stable_step -- s, largest step of the scheme: `positive_step()` unless the scheme says less
     updates  -- how many cells move; all others keep their concentration
 
     After `settle`: groups (this rank's part), merged (all of the bed), runs, face_runs.
@@ -107,7 +107,6 @@ class ConservativeBed:
         )
         self._full = least >= 1.0 - _ROUND_OFF
         self._least = np.where(least > _ROUND_OFF, least, 0.0)
-        self._rate = leaving_rate(self._below, self._flux, self._spread)
         self.moving = _touched(self._below, self._flux, self._spread)
         self.updates = int(self.moving.sum())
 
@@ -128,23 +127,24 @@ class ConservativeBed:
         # the owned cells' place in local arrays, by place among all cells
         self._place = np.full(len(cells), -1, dtype=np.int64)
         self._place[self._mine] = self.owned
-        self.stable_step = self.positive_step
+        self.stable_step = self.positive_step()
         self.merged = Groups(np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))
 
     def _local(self, values: FloatArray | BoolArray) -> FloatArray:
         local = self.split.to_local(self.interval.cells, values)  # type: ignore[arg-type]
         return local.reshape(*values.shape[:-1], -1)
 
-    @cached_property
-    def positive_step(self) -> float:
+    def positive_step(self, diffusion: float = 1.0) -> float:
         """Largest dt at which no full cell loses more than it holds, on all ranks, s.
 
-        sum over faces of outflow dt + 2 sum over axes of D_nn dt/h^2 <= 1, the limit of
-        positivity of the upwind scheme; infinite if nothing moves.
+        sum over faces of outflow dt + 2 diffusion sum over axes of D_nn dt/h^2 <= 1: with
+        `diffusion` 1 the limit of positivity of the upwind scheme, with more a stricter one.
+        Infinite if nothing moves.
         """
-        fastest = float(self._rate[self._full].max(initial=0.0))
-        if fastest == 0.0:
-            fastest = float((self._rate / np.maximum(self._least, 1e-3)).max(initial=0.0))
+        rate = leaving_rate(self._below, self._flux, diffusion * self._spread)
+        fastest = float(rate[self._full].max(initial=0.0))
+        if fastest == 0.0:  # nothing but cut cells
+            fastest = float((rate / np.maximum(self._least, _LEAST)).max(initial=0.0))
         return 1.0 / fastest if fastest > 0 else np.inf
 
     def settle(self, dt: float) -> None:
@@ -183,7 +183,7 @@ class ConservativeBed:
         return LocalGroups(
             members=place[owned],
             first=np.concatenate([[0], np.cumsum(here[present])]),
-            start=start[present],
+            start=start[present].astype(float),
             rate=rate[present] / self.interval.duration,
             shared=shared,
             slot=np.searchsorted(shared_anywhere, present[shared]),
@@ -217,7 +217,7 @@ class ConservativeBed:
         result = values.copy()
         for row in result:
             mean = np.bincount(number, weights=weight * row[members], minlength=len(held))
-            mean = np.divide(mean, held, out=mean, where=held > 0)
+            mean = np.divide(mean, held, out=np.zeros(len(held)), where=held > 0)
             row[members] = np.where(held[number] > 0, mean[number], row[members])
         return result
 

@@ -1,4 +1,4 @@
-"""What all explicit mixing backends share: intervals entered, steps within the limit, values judged.
+"""What explicit mixing backends share: intervals entered, steps within the limit, values judged.
 
 A backend derives from `ExplicitTransport`, says how a bed is made ready for it and how steps are
 done, and gets the rest: concentrations carried from one interval of the flow to the next without
@@ -121,7 +121,7 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
         self.bed: AnyBed = self.make_bed(interval)
         lasts_for_ever = flow.steady and index == flow.prefix
         longest = np.inf if lasts_for_ever else interval.duration
-        self.bed.settle(min(longest, max(self.bed.stable_step, self._guard.time_step or 0.0)))
+        self.bed.settle(min(longest, self.bed.stable_step))
         here = spread_outwards(flow.grid, cells, values, interval.cells)
         entering = self.bed.enter(here, interval.start)
         self.field.array[...] = self.split.to_local(interval.cells, entering)
@@ -130,4 +130,4 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
     def _values(self) -> FloatArray:
         """(m, n) at the bed's known cells, collected on every rank."""
         mine, where = self.split.owned_cells(self.bed.known)
-        return self.split.gather(self.bed.known, self.field.array[:, *where], mine)
+        return self.split.gather(self.bed.known, self.field.array[(slice(None), *where)], mine)

@@ -56,6 +56,43 @@ def speed_map(path: Path, flow: FlowField) -> None:
     _save(figure, path)
 
 
+def stability(path: Path, name: str, boundaries: Sequence[Any]) -> None:
+    """Stated limits against measured ones in the plane of Courant and cell diffusion number.
+
+    boundaries -- of `stability_map.Boundary`
+    """
+    angles = sorted({b.angle for b in boundaries if b.courant > 0})
+    rest = [b for b in boundaries if b.courant == 0]
+    figure, axes = plt.subplots(
+        1, len(angles), figsize=(3.3 * len(angles), 3.6), sharey=True, squeeze=False,
+        layout="constrained",
+    )  # fmt: skip
+    styles = {
+        "stated": {"label": "stated limit", "color": "black", "marker": ""},
+        "growth": {"label": "measured: noise grows beyond", "color": "C3", "marker": "o"},
+        "bounds": {"label": "measured: [0, 1] broken beyond", "color": "C0", "marker": "s"},
+    }
+    for axis, angle in zip(axes.flat, angles, strict=True):
+        here = [b for b in boundaries if b.angle == angle and b.courant > 0] + rest[:1]
+        for which, style in styles.items():
+            limits = [(b, getattr(b, which)) for b in here]
+            points = [
+                (limit * b.courant, limit * b.diffusion_number)
+                for b, limit in limits
+                if limit is not None and math.isfinite(limit)
+            ]
+            if points:
+                axis.plot(*zip(*points, strict=True), markersize=3.5, **style)
+        axis.set_title(f"flow at {angle:g} deg to the grid", fontsize=10)
+        axis.set_xlabel("Courant number |v| dt/h")
+        axis.set_xlim(left=0)
+        axis.set_ylim(bottom=0)
+    axes.flat[0].set_ylabel("cell diffusion number D dt/h$^2$")
+    axes.flat[0].legend(fontsize=7)
+    figure.suptitle(f"stability of {name}", fontsize=11)
+    _save(figure, path)
+
+
 def velocity_profiles(path: Path, flow: FlowField, angle: float) -> None:
     """Velocity along the free surface and along the mid-bed normal (the paper's Fig. 12).
 

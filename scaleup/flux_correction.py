@@ -102,7 +102,7 @@ class FluxCorrection:
     def _lost(self, fluxes: FloatArray) -> FloatArray:
         """What leaves each group, on whichever ranks it lies (collective)."""
         groups = self._bed.groups
-        lost = kernels.group_losses(fluxes, groups.members, groups.first, self._strides)
+        lost: FloatArray = kernels.group_losses(fluxes, groups.members, groups.first, self._strides)
         share_sums(self._split, groups, list(lost))
         return lost
 

@@ -20,7 +20,9 @@ from scaleup.storage import Results
 log = logging.getLogger("scaleup")
 
 
-def run(config: RunConfig, folder: Path, comm: Any, *, overwrite: bool, resume: bool) -> Path:
+def run(
+    config: RunConfig, folder: Path, comm: Any, *, overwrite: bool, resume: bool, force: bool
+) -> Path:
     """Run a configuration; collective. Returns the run folder.
 
     The folder appears when the run is complete; until then its content is in `FOLDER.partial`,
@@ -35,8 +37,9 @@ def run(config: RunConfig, folder: Path, comm: Any, *, overwrite: bool, resume: 
         log.info("scaleup on %d rank(s); %s", comm.size, _describe(config))
         outcome = obtain_flow(config, comm)
         results = Results(work, outcome.flow.grid, config.operation.period)
-        blend = mix(config, outcome.flow, comm, results=results, checkpoint=work / "checkpoint.h5")
-        coarse = _coarse_blend(config, outcome.flow, comm)
+        kept = work / "checkpoint.h5"
+        blend = mix(config, outcome.flow, comm, results=results, checkpoint=kept, force=force)
+        coarse = _coarse_blend(config, outcome.flow, comm, force)
         if comm.rank == 0:
             results.write_xdmf()
             write_report(work, config, outcome, blend, coarse, results, comm.size)
@@ -48,13 +51,13 @@ def run(config: RunConfig, folder: Path, comm: Any, *, overwrite: bool, resume: 
     return folder
 
 
-def _coarse_blend(config: RunConfig, flow: FlowField, comm: Any) -> Blend | str:
+def _coarse_blend(config: RunConfig, flow: FlowField, comm: Any, force: bool) -> Blend | str:
     """The blend on cells twice as large, or why there is none; a finished run is never lost."""
     if not config.accuracy.estimate:
         return "accuracy.estimate is off"
     log.info("mixing again on cells twice as large, for the error estimate")
     try:
-        return mix(config, flow.coarsened(2), comm)
+        return mix(config, flow.coarsened(2), comm, force=force)
     except ScaleupError as error:
         return f"on cells twice as large: {error}"
 

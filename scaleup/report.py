@@ -127,6 +127,7 @@ def compile_report(
             "maximum": ledger.maximum if ledger.steps else None,
             "clipped_mass": ledger.clipped,
             "steps": ledger.steps,
+            "step_over_stable_step": ledger.step_share if ledger.steps else None,
         },
         "error_estimate": estimate,
         "timing": {
@@ -207,6 +208,11 @@ def _warnings(
         found.append(
             f"I changes by up to {estimate['segregation_intensity']:.2g} on cells twice as large, "
             f"more than the tolerance {config.accuracy.tolerance:g}: take smaller cells"
+        )
+    if ledger.step_share > 1.0 + 1e-9:
+        found.append(
+            f"FORCED: mixing steps were {ledger.step_share:.3g} times the stable one; the result "
+            "may be an artefact of instability"
         )
     beyond = max(0.0, -ledger.minimum, ledger.maximum - 1.0) if ledger.steps else 0.0
     if beyond > _OVERSHOOT:

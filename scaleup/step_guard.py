@@ -71,8 +71,10 @@ class StepGuard:
             return
         found = self.split.comm.allgather(self._located(*worst()))
         _, where = max(found)
-        what = f"reached {low if -low > high - 1 else high:.4g}" if excess < math.inf else (
-            "is not a number"
+        what = (
+            f"reached {low if -low > high - 1 else high:.4g}"
+            if excess < math.inf
+            else ("is not a number")
         )
         bound = f" (it may leave [0, 1] by {self.overshoot:g})" if excess < math.inf else ""
         raise RunError(

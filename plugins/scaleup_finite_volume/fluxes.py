@@ -79,7 +79,7 @@ def _special_weights(forward: BoolArray, holds: BoolArray) -> FloatArray:
 
 
 def _transverse(bed: ConservativeBed, axis: int, other: int) -> FloatArray:
-    """chi of the faces normal to `axis` for the transverse axis `other`, 1/s."""
+    """Chi of the faces normal to `axis` for the transverse axis `other`, 1/s."""
     holds = bed.holds & bed.shifted(bed.holds, other, 1) & bed.shifted(bed.holds, other, -1)
     holds = holds & bed.shifted(holds, axis, -1)
     full = bed.full & bed.shifted(bed.full, axis, -1)

@@ -7,9 +7,8 @@ the scheme is linear; second where the fill moves):
 1. phi c' = phi c - div H(c, dt/3);  2. phi c'' = phi c - div H(c', dt/2);
 3. flux correction of H(c'', dt): conservative, 0 <= c <= 1.
 
-Limit: sum of what leaves a full cell in a step, by flow and twice by diffusion, at most its volume
-(positivity of the upwind part); smaller cells are merged. The linear scheme itself is stable
-beyond (see `stability`).
+Limit: what leaves a full cell in a step by flow, and 2 x 1.07 times the cell diffusion numbers, add
+up to at most 1 (see `stability`); cells that hold less are merged.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ from scaleup.api import (
     MixingScene,
 )
 from scaleup_finite_volume.fluxes import find_faces, high_order
+from scaleup_finite_volume.stability import DIFFUSION_FACTOR
 
 if TYPE_CHECKING:
     from scaleup_finite_volume import FiniteVolume
@@ -53,9 +53,11 @@ class Transport(ExplicitTransport[ConservativeBed]):
         super().__init__(scene, options, concentration, index)
 
     def make_bed(self, interval: Interval) -> ConservativeBed:
-        """The bed as it is: the limit is that of positivity."""
+        """The bed with the limit stated above."""
         scene = self.scene
-        return ConservativeBed(scene.flow.grid, self.split, interval, scene.tensor(interval))
+        bed = ConservativeBed(scene.flow.grid, self.split, interval, scene.tensor(interval))
+        bed.stable_step = bed.positive_step(DIFFUSION_FACTOR)
+        return bed
 
     def entered(self) -> None:
         """Sort the faces; cells at rest hold the same in every stage."""

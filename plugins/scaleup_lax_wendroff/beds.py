@@ -19,13 +19,15 @@ from scaleup_lax_wendroff.stencil import neighbours
 
 
 class Bed(ConservativeBed):
-    """The bed of form "corrected": full cells limit the step, cut cells are merged."""
+    """The bed of the conservative forms: full cells limit the step, cut cells are merged.
+
+    The step keeps the stencil of full cells stable and the upwind fluxes of cut cells positive.
+    """
 
     def __init__(self, scene: MixingScene, interval: Interval):
-        super().__init__(
-            scene.flow.grid, scene.decomposition, interval, scene.tensor(interval)
-        )
-        self.stable_step = self._stable_step(*corrected_form.courant_numbers(self, 1.0), self.full)
+        super().__init__(scene.flow.grid, scene.decomposition, interval, scene.tensor(interval))
+        numbers = corrected_form.courant_numbers(self, 1.0)
+        self.stable_step = min(self._stable_step(*numbers, self.full), self.positive_step())
 
     def _stable_step(self, nu: FloatArray, mu: FloatArray, where: BoolArray) -> float:
         """Largest dt (s) that meets the sufficient condition in owned cells on all ranks."""
@@ -49,14 +51,6 @@ class Bed(ConservativeBed):
     def weights(self, dt: float) -> FloatArray:
         """Stencil weights for a step, (8 or 18, cells)."""
         return corrected_form.weights(self, dt)
-
-
-class BoundedBed(Bed):
-    """The bed of form "flux-corrected": positivity of its upwind part limits the step too."""
-
-    def __init__(self, scene: MixingScene, interval: Interval):
-        super().__init__(scene, interval)
-        self.stable_step = min(self.stable_step, self.positive_step)
 
 
 class PaperBed(Bed):

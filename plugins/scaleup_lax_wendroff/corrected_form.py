@@ -45,7 +45,7 @@ class FaceCoefficients:
 
 
 def courant_numbers(bed: ConservativeBed, dt: float) -> tuple[FloatArray, FloatArray]:
-    """(nu, (dimension, cells), the greater of a cell's two faces; mu, (dimension, dimension, cells))."""
+    """(nu of the greater of a cell's two faces, (d, cells); mu, (d, d, cells))."""
     low = np.abs(bed.flux)
     nu = dt * np.stack(
         [np.maximum(low[a], bed.shifted(low[a], a, 1)) for a in range(bed.grid.dimension)]

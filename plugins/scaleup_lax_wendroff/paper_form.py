@@ -1,12 +1,12 @@
 """form "paper": Eq. 7-18 of Liu, Gonzalez & Wassgren 2018 exactly as printed.
 
-(In 3-D the same with the third direction.) With nu_x = [v_x + (D_xx,E - D_xx,W)/2] dt/dx and mu_x = D_xx dt/dx^2 (Eq. 8, 10, 17; likewise y),
+With nu_x = [v_x + (D_xx,E - D_xx,W)/2] dt/dx and mu_x = D_xx dt/dx^2 (Eq. 8, 10, 17; likewise y),
 
     c' = c - nu_x D0x c - nu_y D0y c + (nu_x^2/2 + mu_x) d2x c + (nu_y^2/2 + mu_y) d2y c
            + nu_x nu_y D0x D0y c                                                       (Eq. 7)
 
 Eq. 4 would need -dD_xx/dx where Eq. 8 and 17 have plus and no 1/dx; both are too small to see at
-the paper's D. D_xy is left out, as there. First order in time where v varies; not conservative.
+the paper's D. D_xy is left out, as there. In 3-D the same with the third direction. First order in time where v varies; not conservative.
 The outermost nodes of the bed take the value one node inward, and c is clipped to [0, 1].
 """
 
@@ -43,11 +43,10 @@ def find_nodes(grid: Grid, cells: IntArray, fill: FloatArray) -> Nodes:
     inner = node.copy()
     for offset in _around(grid.dimension):
         inner &= _shifted(node, offset)
-    inner &= np.pad(np.ones(grid.shape, dtype=bool), _PAD)
-    beside = np.logical_or.reduce(
-        [_shifted(inner, offset) for offset in _around(grid.dimension)]
-    )
-    outer_at = np.stack(np.nonzero(node & ~inner & beside))
+    within = np.pad(np.ones(grid.shape, dtype=bool), _PAD)
+    inner &= within
+    beside = np.logical_or.reduce([_shifted(inner, offset) for offset in _around(grid.dimension)])
+    outer_at = np.stack(np.nonzero(node & ~inner & beside & within))
     step = _step_inward(inner)[:, *outer_at]
     return Nodes(
         inner=_flat(grid, np.stack(np.nonzero(inner))),

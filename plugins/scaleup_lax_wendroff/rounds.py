@@ -87,13 +87,12 @@ def plan_rounds(bed: Bed, groups: LocalGroups) -> tuple[list[Round], int]:
     wanted = regular.copy()
     if not isinstance(bed, PaperBed):
         wanted |= split.to_local(cells, bed.moving).ravel()
-    wanted_owned = bed.owned[wanted[bed.owned]]
     count = len(groups.start)
     number = np.repeat(np.arange(count), np.diff(groups.first))
     valid = np.ones(wanted.size, dtype=bool)
-    copied = np.zeros(wanted.size, dtype=bool)
     if isinstance(bed, PaperBed):
-        copied[bed.outer] = True
+        wanted[bed.outer] = True
+    wanted_owned = bed.owned[wanted[bed.owned]]
     rounds: list[Round] = []
     steps = 0
     while True:
@@ -111,7 +110,7 @@ def plan_rounds(bed: Bed, groups: LocalGroups) -> tuple[list[Round], int]:
             break
         rounds.append(Round(runs_of(np.flatnonzero(regular & around)), usable, copies))
         steps += 1
-        now = right | ~(wanted | copied)
+        now = right | ~wanted
         if np.array_equal(now, valid):
             steps = _ENDLESS
             break

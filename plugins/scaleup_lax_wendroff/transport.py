@@ -22,7 +22,7 @@ from scaleup.api import (
     RunError,
 )
 from scaleup_lax_wendroff import corrected_form, stencil
-from scaleup_lax_wendroff.beds import Bed, BoundedBed, PaperBed
+from scaleup_lax_wendroff.beds import Bed, PaperBed
 from scaleup_lax_wendroff.rounds import Round, local_groups, plan_rounds
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ class PaperTransport(StencilTransport):
         return -float(both[0]), float(both[1])
 
 
-class BoundedTransport(ExplicitTransport[BoundedBed]):
+class BoundedTransport(ExplicitTransport[Bed]):
     """Form "flux-corrected"."""
 
     overshoot = 1e-9  # bounds are kept to round-off
@@ -168,9 +168,9 @@ class BoundedTransport(ExplicitTransport[BoundedBed]):
         self._correction = FluxCorrection(split, moved)
         super().__init__(scene, options, concentration, index)
 
-    def make_bed(self, interval: Interval) -> BoundedBed:
+    def make_bed(self, interval: Interval) -> Bed:
         """The bed of this form."""
-        return BoundedBed(self.scene, interval)
+        return Bed(self.scene, interval)
 
     def entered(self) -> None:
         """Coefficients follow with the first step."""
