@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from scaleup import units
@@ -26,6 +25,7 @@ from scaleup.explicit_transport import ExplicitTransport
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
 from scaleup.flux_correction import FluxCorrection
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
+from scaleup.ledger import Ledger
 from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
@@ -172,31 +172,6 @@ class Flow(Protocol):
         `<key>_reason` for those that it cannot give. Raises RunError if it fails.
         """
         ...
-
-
-@dataclass
-class Ledger:
-    """What a mixing backend did to bounds, over all components, seen before any clipping.
-
-    All shares are of the bed's volume; `clipped` is the sum of the absolute changes by clipping;
-    `step_share` is the longest step over the stable one.
-    """
-
-    steps: int = 0
-    cell_updates: int = 0
-    minimum: float = np.inf
-    maximum: float = -np.inf
-    clipped: float = 0.0
-    step_share: float = 0.0
-
-    def add(self, other: Ledger) -> None:
-        """Add what a further stretch of time did."""
-        self.steps += other.steps
-        self.cell_updates += other.cell_updates
-        self.minimum = min(self.minimum, other.minimum)
-        self.maximum = max(self.maximum, other.maximum)
-        self.clipped += other.clipped
-        self.step_share = max(self.step_share, other.step_share)
 
 
 @dataclass(frozen=True)

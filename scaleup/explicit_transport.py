@@ -15,11 +15,12 @@ import numpy as np
 from scaleup.conservative_bed import ConservativeBed
 from scaleup.flow_field import Interval
 from scaleup.grid import FloatArray, IntArray
+from scaleup.ledger import Ledger
 from scaleup.spread import spread_outwards
 from scaleup.step_guard import LOOK_EVERY, StepGuard
 
 if TYPE_CHECKING:
-    from scaleup.api import Ledger, MixingScene
+    from scaleup.api import MixingScene
     from scaleup.decomposition import GhostedField
 
 
@@ -87,8 +88,6 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
 
     def advance(self, index: int, start: float, end: float) -> Ledger:
         """Equal steps within the limit (collective)."""
-        from scaleup.api import Ledger  # the api offers this module too
-
         if index != self._index:
             self._enter(index, self.bed.known, self._values())
         stable = self.bed.stable_step
@@ -130,4 +129,5 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
     def _values(self) -> FloatArray:
         """(m, n) at the bed's known cells, collected on every rank."""
         mine, where = self.split.owned_cells(self.bed.known)
-        return self.split.gather(self.bed.known, self.field.array[(slice(None), *where)], mine)
+        place = np.ravel_multi_index(where, self.split.local_shape)
+        return self.split.gather(self.bed.known, self.field.flat[:, place], mine)

@@ -9,7 +9,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 # Each module of scaleup may import those on lower floors only.
 FLOORS = [
-    {"errors", "files", "__init__"},
+    {"errors", "files", "ledger", "__init__"},
     {"grid", "units", "launch"},
     {"spread", "cut_cells", "merged_cells", "flux_kernels"},
     {"flow_field", "scene", "parallel", "decomposition", "progress"},

@@ -6,8 +6,9 @@ With nu_x = [v_x + (D_xx,E - D_xx,W)/2] dt/dx and mu_x = D_xx dt/dx^2 (Eq. 8, 10
            + nu_x nu_y D0x D0y c                                                       (Eq. 7)
 
 Eq. 4 would need -dD_xx/dx where Eq. 8 and 17 have plus and no 1/dx; both are too small to see at
-the paper's D. D_xy is left out, as there. In 3-D the same with the third direction. First order in time where v varies; not conservative.
-The outermost nodes of the bed take the value one node inward, and c is clipped to [0, 1].
+the paper's D. D_xy is left out, as there. In 3-D the same with the third direction. First order in
+time where v varies; not conservative. The outermost nodes of the bed take the value one node
+inward, and c is clipped to [0, 1].
 """
 
 from __future__ import annotations

@@ -23,13 +23,13 @@ for halo in (1, 2):
     counts = comm.allgather(int(keep.sum()))
     assert sum(counts) == len(bed)
     assert max(counts) < 1.4 * len(bed) / comm.size, counts
-    field = split.field()
+    field = split.field(components=2)
     field.array[...] = -1.0
-    field.array[where] = bed[keep] + 0.5
+    field.array[:, *where] = np.stack([bed[keep] + 0.5, bed[keep] + 0.25])
     field.exchange()
-    seen = split.to_local(bed, bed + 0.5, empty=-1.0)
+    seen = split.to_local(bed, np.stack([bed + 0.5, bed + 0.25]), empty=-1.0)
     inside = split.to_local(bed, np.ones(len(bed)))
-    assert np.array_equal(field.array[inside > 0], seen[inside > 0])
+    assert np.array_equal(field.array[:, inside > 0], seen[:, inside > 0])
     gathered = split.gather(bed, (bed[keep] + 0.5)[None, :], keep)
     assert np.array_equal(gathered[0], bed + 0.5)
     assert split.total(1.0) == comm.size and split.largest(comm.rank) == comm.size - 1
@@ -65,11 +65,13 @@ def test_ghosts_carry_their_owners_values_and_the_bed_is_shared_evenly(on_ranks,
 @pytest.mark.parametrize(
     "options",
     [
-        ["mixing.form=corrected"],
-        ["mixing.form=paper", "diffusion.model=paper"],
+        ["mixing.name=finite-volume"],
+        ["mixing.name=lax-wendroff", "mixing.form=corrected"],
+        ["mixing.name=lax-wendroff", "mixing.form=flux-corrected"],
+        ["mixing.name=lax-wendroff", "mixing.form=paper", "diffusion.model=paper"],
         ["operation.loading.pattern=top-bottom", "operation.loading.shares=[0.3, 0.3, 0.4]"],
     ],
-    ids=["corrected", "paper", "three-components"],
+    ids=["finite-volume", "corrected", "flux-corrected", "paper", "three-components"],
 )
 def test_concentrations_are_the_same_on_one_two_and_three_ranks(store, on_ranks, tmp_path, options):
     fields = {}
