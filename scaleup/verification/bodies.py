@@ -27,7 +27,8 @@ def gaussian(centre: tuple[float, ...], sigma: float) -> Field:
 
     def body(points: FloatArray) -> FloatArray:
         squared: FloatArray = ((points - np.array(centre)) ** 2).sum(axis=-1)
-        return np.exp(-squared / (2 * sigma**2))
+        result: FloatArray = np.exp(-squared / (2 * sigma**2))
+        return result
 
     return body
 
@@ -47,7 +48,8 @@ def spread_gaussian(
     def body(points: FloatArray) -> FloatArray:
         arm = points - np.array(centre)
         squared: FloatArray = np.einsum("...i,ij,...j->...", arm, precision, arm)
-        return height * np.exp(-0.5 * squared)
+        result: FloatArray = height * np.exp(-0.5 * squared)
+        return result
 
     return body
 

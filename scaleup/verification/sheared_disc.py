@@ -41,7 +41,7 @@ class ShearedDisc:
     centre: tuple[float, float]
     sigma: float
     collocation: int = 101
-    modes: int = 48
+    modes: int = 40
 
     def stream_function(self, r: FloatArray) -> FloatArray:
         """psi(r) = int_r^R omega r' dr', m^2/s."""

@@ -34,7 +34,8 @@ class Result:
     segregation_error -- greatest difference of the intensity of segregation at the problem's
                     stops and its end, None without stops
     steps, seconds, cell_updates -- of `advance`, the clock's after a warm-up
-    flow, interval, concentration, exact -- the end state, (components, m) as observed
+    flow, interval -- at the end
+    concentration, exact, volumes -- (components, m), (components, m), (m,), as observed at the end
     """
 
     problem: str
@@ -54,6 +55,7 @@ class Result:
     interval: Interval = field(repr=False)
     concentration: FloatArray = field(repr=False)
     exact: FloatArray = field(repr=False)
+    volumes: FloatArray = field(repr=False)
 
     @property
     def cell_updates_per_second(self) -> float:
@@ -117,6 +119,7 @@ def run(problem: Problem, backend: Any, n: int, comm: Any = MPI.COMM_SELF) -> Re
         interval=interval,
         concentration=values,
         exact=exact,
+        volumes=volumes,
     )
 
 
