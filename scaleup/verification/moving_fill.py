@@ -117,8 +117,7 @@ def _layers(grid: Grid, factors: list[FloatArray], parts: list[int]) -> FloatArr
 def _mean_contraction(n: int, log_s: float) -> FloatArray:
     """1/X, averaged over sub-columns: exactly what each of them holds."""
     began: FloatArray = origin(np.linspace(0.0, 1.0, _PARTS * n + 1), log_s)
-    held: FloatArray = (began[1:] - began[:-1]) * (_PARTS * n)
-    return held
+    return np.asarray(np.diff(began) * _PARTS * n, dtype=np.float64)
 
 
 def _fill(grid: Grid, n: int, time: float) -> FloatArray:

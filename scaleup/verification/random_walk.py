@@ -33,6 +33,9 @@ from scaleup.verification.drum_layer import (
     surface_coordinates,
 )
 
+_SHEAR_OF_STEP = 0.2  # by which the layer shears during a Runge-Kutta step
+_THINNEST = 0.01  # of the layer at mid-bed: thinner ones shorten steps no more
+_NOTHING = 1e-9  # of the diffusivity on the surface
 QUARTERS = (0.25, 0.5, 0.75, 1.0)  # revolutions at which walks are looked at
 
 
@@ -64,7 +67,7 @@ class Walks:
 
 
 @lru_cache(maxsize=2)
-def random_walks(particles: int = 400_000, steps: int = 800, seed: int = 7) -> Walks:
+def random_walks(particles: int = 500_000, steps: int = 400, seed: int = 7) -> Walks:
     """Walks over one revolution in a number of steps, a multiple of 4.
 
     They start on a jittered lattice in the bed; component 0 is what starts at x < 0.
@@ -109,10 +112,41 @@ def velocity(x: float, y: float) -> tuple[float, float]:
     """Along and across the surface, m/s."""
     along, out = OMEGA * (y - DISTANCE), -OMEGA * x
     delta = THICKNESS * (1.0 - (x / HALF_CHORD) ** 2)
-    if y > -delta:
+    if y > -delta and delta > 0.0:
         along += 2.0 * LAYER_SPEED * (1.0 + y / delta)
         out *= (y / delta) ** 2
     return along, out
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator,misc]
+def carried(x: float, y: float, dt: float) -> tuple[float, float]:
+    """Where the flow takes a point in dt (s): Runge-Kutta steps, short where the layer is thin."""
+    left = dt
+    while left > 0.0:
+        delta = THICKNESS * max(1.0 - (x / HALF_CHORD) ** 2, _THINNEST)
+        shear_rate = 2.0 * LAYER_SPEED / delta
+        h = min(left, _SHEAR_OF_STEP / shear_rate)
+        if y < -delta:  # rigid below: no faster than to its top
+            h = min(left, max(h, 0.5 * (-delta - y) / (OMEGA * RADIUS)))
+        u1, v1 = velocity(x, y)
+        u2, v2 = velocity(x + 0.5 * h * u1, y + 0.5 * h * v1)
+        u3, v3 = velocity(x + 0.5 * h * u2, y + 0.5 * h * v2)
+        u4, v4 = velocity(x + h * u3, y + h * v3)
+        x += h / 6.0 * (u1 + 2.0 * u2 + 2.0 * u3 + u4)
+        y += h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
+        x, y = _reflected(x, y)
+        left -= h
+    return x, y
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator,misc]
+def _reflected(x: float, y: float) -> tuple[float, float]:
+    y = -abs(y)
+    r = math.hypot(x, y - DISTANCE)
+    if r > RADIUS:
+        back = (2.0 * RADIUS - r) / r
+        x, y = x * back, DISTANCE + (y - DISTANCE) * back
+    return x, y
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator,misc]
@@ -121,25 +155,15 @@ def advance(state: FloatArray, dt: float, steps: int, rng: np.random.Generator) 
     for p in range(state.shape[0]):
         x, y = state[p, 0], state[p, 1]
         for _ in range(steps):
-            u1, v1 = velocity(x, y)
-            u2, v2 = velocity(x + 0.5 * dt * u1, y + 0.5 * dt * v1)
-            u3, v3 = velocity(x + 0.5 * dt * u2, y + 0.5 * dt * v2)
-            u4, v4 = velocity(x + dt * u3, y + dt * v3)
-            x += dt / 6.0 * (u1 + 2.0 * u2 + 2.0 * u3 + u4)
-            y += dt / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
+            x, y = carried(x, y, dt)
             taper = max(1.0 - (x / HALF_CHORD) ** 2, 0.0)
-            depth = min(y, 0.0) / THICKNESS
+            depth = y / THICKNESS
             profile = STRENGTH * math.exp(-(depth**2))
-            d = profile * taper**2
-            drift_x = -K2 * profile * taper * 4.0 * x / HALF_CHORD**2
-            drift_y = -K1 * d * 2.0 * depth / THICKNESS
-            x += drift_x * dt + math.sqrt(2.0 * K2 * d * dt) * rng.standard_normal()
-            y += drift_y * dt + math.sqrt(2.0 * K1 * d * dt) * rng.standard_normal()
-            if y > 0.0:
-                y = -y
-            r = math.hypot(x, y - DISTANCE)
-            if r > RADIUS:
-                back = (2.0 * RADIUS - r) / r
-                x *= back
-                y = DISTANCE + (y - DISTANCE) * back
+            if profile > _NOTHING * STRENGTH:
+                d = profile * taper**2
+                drift_x = -K2 * profile * taper * 4.0 * x / HALF_CHORD**2
+                drift_y = -K1 * d * 2.0 * depth / THICKNESS
+                x += drift_x * dt + math.sqrt(2.0 * K2 * d * dt) * rng.standard_normal()
+                y += drift_y * dt + math.sqrt(2.0 * K1 * d * dt) * rng.standard_normal()
+                x, y = _reflected(x, y)
         state[p, 0], state[p, 1] = x, y

@@ -187,7 +187,7 @@ def test_walks_from_a_point_drift_and_spread_as_the_tensor_says():
 
 
 def test_the_density_of_walks_stays_uniform():
-    walks = random_walks(FEW_WALKS, 400)
+    walks = random_walks(FEW_WALKS, 200)
     kept = walks.count[0] > 0.95 * walks.count[0].max()
     assert kept.sum() > 20
     deviation = walks.count[-1][kept] / walks.count[0][kept] - 1
