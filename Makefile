@@ -11,7 +11,7 @@ APT := python3-venv python3-numpy python3-petsc4py libpetsc-real-dev python3-mpi
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: demo test lint verify bench setup clean
+.PHONY: demo test lint verify tables bench setup clean
 setup: $(VENV)/.ready
 
 demo: setup
@@ -22,6 +22,9 @@ test: setup lint
 
 verify: setup
 	$(BIN)/python -m pytest -m "slow or not slow"
+
+tables: setup
+	$(BIN)/python tools/verification_tables.py
 
 bench: setup
 	$(BIN)/python benchmarks/lax_wendroff_speed.py

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.api import Axis, FlowField, Grid, MixingScene, interval_from_dense
+from scaleup.api import FlowField, MixingScene
 from scaleup.blending import mix
 from scaleup.config import compose, fill_volume
 from scaleup.decomposition import Decomposition
@@ -15,26 +15,13 @@ from scaleup.errors import RunError
 from scaleup.flow_source import obtain_flow
 from scaleup.scene import Diffusion
 from scaleup.testing import check_flow, check_mixing
+from scaleup.verification import Result, fitted_order, problems, run
+from scaleup.verification.deformations import vortex_flow
 from scaleup_lax_wendroff import LaxWendroff
 from scaleup_lax_wendroff.stability import amplification, stability_number
 from synthetic import sloshing
 
 FAST = {"flow": {"name": "surface-layer"}}
-
-
-def vortex(n: int) -> FlowField:
-    """psi = sin^2(pi x) sin^2(pi y)/(2 pi) in a unit square of powder: v varies everywhere."""
-    grid = Grid((-1.0 / n, -1.0 / n), (1.0 / n, 1.0 / n), (n + 2, n + 2))
-    points = grid.corner_points()
-    psi = (np.sin(np.pi * points) ** 2).prod(axis=-1) / (2 * np.pi)
-    inside = np.all((points > 1e-12) & (points < 1 - 1e-12), axis=-1)
-    psi = np.where(inside, psi, 0.0)
-    faces = [np.diff(psi, axis=0), -np.diff(psi, axis=1)]
-    fill = np.zeros(grid.shape)
-    fill[1:-1, 1:-1] = grid.cell_volume
-    none = np.zeros(grid.shape)
-    part = interval_from_dense(0.0, 1.0, grid, fill, fill, faces, none, np.stack([none, none]))
-    return FlowField(grid, "lab", Axis(), 0.0, [part])
 
 
 def scene_of(flow: FlowField, k1: float = 0.0, grain: float = 1e-3) -> MixingScene:
@@ -55,63 +42,29 @@ def bump(flow: FlowField) -> np.ndarray:
     return np.stack([c, 1 - c])
 
 
-def turned(form: str, n: int, time: float, courant: float = 0.9) -> tuple[FlowField, np.ndarray]:
-    """The bump after `time` in the vortex."""
-    flow = vortex(n)
-    backend = LaxWendroff(LaxWendroff.Options(form=form, courant=courant))
-    backend.start(scene_of(flow), bump(flow))
-    backend.advance(0, 0.0, time)
-    return flow, backend.concentration(flow.intervals[0])[0]
-
-
-def exact(flow: FlowField, time: float) -> np.ndarray:
-    """The bump carried along characteristics, by 200 Runge-Kutta steps back in time."""
-
-    def velocity(p):
-        x, y = np.pi * p[:, 0], np.pi * p[:, 1]
-        return np.stack(
-            [np.sin(x) ** 2 * np.sin(2 * y) / 2, -np.sin(2 * x) * np.sin(y) ** 2 / 2], axis=1
-        )
-
-    p, h = flow.grid.centre_points(flow.intervals[0].cells), -time / 200
-    for _ in range(200):
-        k1 = velocity(p)
-        k2 = velocity(p + h / 2 * k1)
-        k3 = velocity(p + h / 2 * k2)
-        p = p + h / 6 * (k1 + 2 * k2 + 2 * k3 + velocity(p + h * k3))
-    return np.exp(-((p - [0.5, 0.3]) ** 2).sum(axis=1) / (2 * 0.1**2))
-
-
-def order(form: str, sizes: tuple[int, ...]) -> tuple[float, float]:
-    errors = []
-    for n in sizes:
-        flow, c = turned(form, n, 1.0)
-        errors.append(np.abs(c - exact(flow, 1.0)).sum() / np.abs(exact(flow, 1.0)).sum())
-    return -np.polyfit(np.log(sizes), np.log(errors), 1)[0], errors[-1]
+def study(form: str, sizes: tuple[int, ...]) -> list[Result]:
+    backend = LaxWendroff(LaxWendroff.Options(form=form, courant=0.9))
+    return [run(problems()["vortex"], backend, n) for n in sizes]
 
 
 def test_corrected_form_is_second_order_in_space_and_time_where_velocity_varies():
-    fitted, finest = order("corrected", (32, 64, 128))
-    assert fitted > 1.85
-    assert finest < 0.02
+    results = study("corrected", (32, 64, 128))
+    assert fitted_order(results) > 1.85
+    assert results[-1].l1 < 0.02
+    assert all(abs(result.mass_drift) < 1e-12 for result in results)
 
 
 def test_paper_form_is_first_order_in_time_and_loses_mass():
     # steps halve with the cells, so an error of first order in time shows as order one
-    fitted, _ = order("paper", (64, 128, 256))
-    assert 0.7 < fitted < 1.4
-    flow, c = turned("paper", 64, 2.0)
-    mass = c @ flow.intervals[0].fill_start / (bump(flow)[0] @ flow.intervals[0].fill_start)
-    flow, c = turned("corrected", 64, 2.0)
-    kept = c @ flow.intervals[0].fill_start / (bump(flow)[0] @ flow.intervals[0].fill_start)
-    assert abs(kept - 1) < 1e-12
-    assert abs(mass - 1) > 1e-3
+    results = study("paper", (64, 128, 256))
+    assert 0.7 < fitted_order(results) < 1.4
+    assert abs(results[0].mass_drift) > 1e-3
 
 
 def test_paper_form_of_solid_rotation_loses_mass_as_its_missing_term_says():
     """Inside the vortex' core v = (-w y, w x): mass decays as exp(-w^2 dt T)."""
     n, time, omega = 128, 0.4, np.pi  # psi ~ (1 - pi^2 r^2)/(2 pi): w = pi at the centre
-    flow = vortex(n)
+    flow = vortex_flow(n)
     points = flow.grid.centre_points(flow.intervals[0].cells)
     c = np.exp(-((points - 0.5) ** 2).sum(axis=1) / (2 * 0.03**2))
     backend = LaxWendroff(LaxWendroff.Options(form="paper", courant=0.9))
@@ -146,7 +99,7 @@ def test_the_sufficient_condition_has_no_false_stable():
 
 
 def test_beyond_the_exact_limit_the_scheme_grows_and_the_run_says_so():
-    flow = vortex(32)
+    flow = vortex_flow(32)
     c = np.random.default_rng(0).random(len(flow.intervals[0].cells))
     for factor, grows in ((0.98, False), (2.0, True)):
         backend = LaxWendroff(LaxWendroff.Options())
@@ -168,7 +121,7 @@ def test_beyond_the_exact_limit_the_scheme_grows_and_the_run_says_so():
 
 def test_diffusion_spreads_a_gaussian_as_the_exact_solution():
     """No flow, uniform anisotropic tensor with D_xy: variances grow by 2 D t."""
-    flow = vortex(64)
+    flow = vortex_flow(64)
     part = flow.intervals[0]
     tensor = np.array([[2.0, 0.7], [0.7, 1.0]])[:, :, None] * 1e-3 * np.ones(len(part.cells))
     part = type(part)(

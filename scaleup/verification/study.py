@@ -1,0 +1,167 @@
+"""Running a mixing backend on a problem, and what came out."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from scaleup.api import Ledger, MixingScene
+from scaleup.decomposition import Decomposition
+from scaleup.flow_field import FlowField, Interval
+from scaleup.grid import FloatArray
+from scaleup.scene import Diffusion
+from scaleup.verification.problem import Problem
+
+State = tuple[Interval, float, FloatArray]
+"""an interval, a time in it (s) and the concentrations on its cells then"""
+_SHORT = 0.2  # s: shorter runs are timed again
+_REPEATS = 3
+_HALO = 2  # ghost layers for a backend that does not say how many it reads
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a backend made of a problem; errors and mass are those of component 0.
+
+    cells        -- active at the start
+    l1, l2       -- sum |c - exact| V / sum |exact| V, and the square root of the same with squares
+    minimum, maximum -- over all components and all steps, before any clipping
+    mass_drift   -- relative change of the component's volume
+    variance_ratio -- second central moment over that of the exact solution; None unless the
+                    problem is observed cell by cell
+    segregation_error -- greatest difference of the intensity of segregation at the problem's
+                    stops and its end, None without stops
+    steps, seconds, cell_updates -- of `advance`, the clock's after a warm-up
+    flow, interval -- at the end
+    concentration, exact, volumes -- (components, m), (components, m), (m,), as observed at the end
+    """
+
+    problem: str
+    n: int
+    cells: int
+    l1: float
+    l2: float
+    minimum: float
+    maximum: float
+    mass_drift: float
+    variance_ratio: float | None
+    segregation_error: float | None
+    steps: int
+    seconds: float
+    cell_updates: int
+    flow: FlowField = field(repr=False)
+    interval: Interval = field(repr=False)
+    concentration: FloatArray = field(repr=False)
+    exact: FloatArray = field(repr=False)
+    volumes: FloatArray = field(repr=False)
+
+    @property
+    def cell_updates_per_second(self) -> float:
+        """1/s."""
+        return self.cell_updates / max(self.seconds, 1e-9)
+
+
+def scene_of(problem: Problem, flow: FlowField, backend: Any, comm: Any) -> MixingScene:
+    """A problem's flow and tensor as a backend wants them."""
+    active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
+    split = Decomposition(flow.grid, active, comm, halo=getattr(backend, "halo", _HALO))
+    return MixingScene(flow, Diffusion(), 1e-3, split, partial(problem.tensor, flow))
+
+
+def run(problem: Problem, backend: Any, n: int, comm: Any = MPI.COMM_SELF) -> Result:
+    """Run a mixing backend on a problem at size n; collective on `comm`.
+
+    A short stretch is run first and thrown away, so that nothing is compiled on the clock; of a run
+    of less than 0.2 s the shortest time of four counts.
+    Whatever the backend raises is passed on: InputError where it does not cover the problem.
+    """
+    flow = problem.flow(n)
+    scene = scene_of(problem, flow, backend, comm)
+    start = problem.initial(flow)
+    first = flow.intervals[0]
+    backend.start(scene, start)
+    backend.advance(0, 0.0, min(backend.stable_time_step(first), first.duration, problem.duration))
+    states, ledger, seconds = _march(problem, backend, scene, start)
+    for _ in range(_REPEATS if seconds < _SHORT else 0):
+        seconds = min(seconds, _march(problem, backend, scene, start)[2])
+    segregation = []
+    for stop, (interval, local, concentration) in states.items():
+        values, volumes = problem.observe(flow, interval, local, concentration)
+        exact = problem.exact(flow, stop)
+        segregation.append(abs(intensity(values[0], volumes) - intensity(exact[0], volumes)))
+
+    difference = np.abs(values[0] - exact[0])
+    held = float(concentration[0] @ interval.fill(min(local, interval.end)))
+    initially = float(start[0] @ first.fill_start)
+    return Result(
+        problem=problem.name,
+        n=n,
+        cells=len(first.cells),
+        l1=float(difference @ volumes / (np.abs(exact[0]) @ volumes)),
+        l2=float(np.sqrt(difference**2 @ volumes / (exact[0] ** 2 @ volumes))),
+        minimum=min(ledger.minimum, float(concentration.min())),
+        maximum=max(ledger.maximum, float(concentration.max())),
+        mass_drift=held / initially - 1.0,
+        variance_ratio=_variance_ratio(flow, interval, values[0], exact[0], volumes),
+        segregation_error=max(segregation) if problem.stops else None,
+        steps=ledger.steps,
+        seconds=seconds,
+        cell_updates=ledger.cell_updates,
+        flow=flow,
+        interval=interval,
+        concentration=values,
+        exact=exact,
+        volumes=volumes,
+    )
+
+
+def _march(
+    problem: Problem, backend: Any, scene: MixingScene, start: FloatArray
+) -> tuple[dict[float, State], Ledger, float]:
+    """Advance to every stop and the end: states there, what the backend saw, and seconds."""
+    flow, comm = scene.flow, scene.decomposition.comm
+    backend.start(scene, start)
+    states: dict[float, State] = {}
+    ledger, seconds, before, interval, local = Ledger(), 0.0, 0.0, flow.intervals[0], 0.0
+    for stop in (*problem.stops, problem.duration):
+        began = clock.perf_counter()
+        for index, begin, local in flow.schedule(before, stop):
+            ledger.add(backend.advance(index, begin, local))
+            interval = flow.intervals[index]
+        seconds += clock.perf_counter() - began
+        states[stop] = interval, local, backend.concentration(interval)
+        before = stop
+    return states, ledger, float(comm.allreduce(seconds, op=MPI.MAX))
+
+
+def fitted_order(results: Sequence[Result], norm: str = "l1") -> float:
+    """Order of convergence: the slope of log error over log size, by least squares."""
+    sizes = np.log([result.n for result in results])
+    errors = np.log([getattr(result, norm) for result in results])
+    return -float(np.polyfit(sizes, errors, 1)[0])
+
+
+def intensity(c: FloatArray, volumes: FloatArray) -> float:
+    """Intensity of segregation: variance of c over that of the unmixed state, by volume."""
+    mean = float(c @ volumes / volumes.sum())
+    return float((c - mean) ** 2 @ volumes / volumes.sum() / (mean * (1.0 - mean)))
+
+
+def _variance_ratio(
+    flow: FlowField, interval: Interval, c: FloatArray, exact: FloatArray, volumes: FloatArray
+) -> float | None:
+    if len(volumes) != len(interval.cells):
+        return None
+    points = flow.grid.centre_points(interval.cells)
+
+    def second_moment(weight: FloatArray) -> float:
+        mean = weight @ points / weight.sum()
+        return float(weight @ ((points - mean) ** 2).sum(axis=1) / weight.sum())
+
+    return second_moment(c * volumes) / second_moment(exact * volumes)
