@@ -79,13 +79,11 @@ class ConservativeBed:
     strides  -- offset to the next cell along each axis in a flattened local array
     flux     -- (dimension, cells) volume flux through the lower faces over a cell's volume, 1/s
     spread   -- (dimension, cells) diffusive conductance D_nn aperture/h^2 of the lower faces, 1/s;
-                the aperture is the smaller fill fraction beside the face
+                the aperture is the smaller fill fraction beside the face at the start
     tensor   -- (dimension, dimension, cells) m^2/s
-    fraction -- mean fill fraction over the interval
     full     -- cells that are full all the time
-    holds    -- cells that hold material all the time
+    holds    -- cells that hold material at the start
     moving   -- cells of the whole bed through whose faces anything goes, (n,) bool
-    known    -- flat grid indices of the cells that carry a concentration
     stable_step -- s, largest step of the scheme: `positive_step()` unless the scheme says less
     updates  -- how many cells move; all others keep their concentration
 
@@ -96,43 +94,29 @@ class ConservativeBed:
         self, grid: Grid, split: Decomposition, interval: Interval, tensor: FloatArray
     ) -> None:
         self.grid, self.split, self.interval = grid, split, interval
-        volume = grid.cell_volume
+        volume, shape = grid.cell_volume, split.local_shape
         self._start, self._end = interval.fill_start / volume, interval.fill_end / volume
-        least = np.minimum(self._start, self._end)
         self._below = neighbours_below(grid, interval.cells)
         self._flux = interval.flux / volume
         diagonal = np.array([tensor[a, a] for a in range(grid.dimension)])
-        self._spread = _conductance(
-            self._below, 0.5 * (self._start + self._end), diagonal, np.array(grid.spacing)
-        )
-        self._full = least >= 1.0 - _ROUND_OFF
-        self._least = np.where(least > _ROUND_OFF, least, 0.0)
+        # what a cell holds at first sets its aperture: one that is being filled exchanges nothing
+        self._spread = _conductance(self._below, self._start, diagonal, np.array(grid.spacing))
+        self._full = np.minimum(self._start, self._end) >= 1.0 - _ROUND_OFF
         self.moving = _touched(self._below, self._flux, self._spread)
         self.updates = int(self.moving.sum())
-
-        self.known = cells = interval.cells
-        shape = split.local_shape
         self.strides = tuple(
             int(np.prod(shape[dim + 1 :]))
             for dim in (grid.array_axis(a) for a in range(grid.dimension))
         )
-        self.flux = self._local(self._flux)
-        self.spread = self._local(self._spread)
-        self.tensor = self._local(tensor)
-        self.fraction = self._local(0.5 * (self._start + self._end))
-        self.full = self._local(self._full)
-        self.holds = self._local(self._least > 0)
-        self._mine, where = split.owned_cells(cells)
-        self.owned = np.ravel_multi_index(where, shape)
-        # the owned cells' place in local arrays, by place among all cells
-        self._place = np.full(len(cells), -1, dtype=np.int64)
-        self._place[self._mine] = self.owned
+        self._placing = split.placing(interval.cells)
+        self.flux = self._placing.local(self._flux)
+        self.spread = self._placing.local(self._spread)
+        self.tensor = self._placing.local(tensor)
+        self.full = self._placing.local(self._full)
+        self.holds = self._placing.local(self._start > _ROUND_OFF)
+        self.owned = self._placing.owned
         self.stable_step = self.positive_step()
         self.merged = Groups(np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64))
-
-    def _local(self, values: FloatArray | BoolArray) -> FloatArray:
-        local = self.split.to_local(self.interval.cells, values)  # type: ignore[arg-type]
-        return local.reshape(*values.shape[:-1], -1)
 
     def positive_step(self, diffusion: float = 1.0) -> float:
         """Largest dt at which no full cell loses more than it holds, on all ranks, s.
@@ -144,7 +128,7 @@ class ConservativeBed:
         rate = leaving_rate(self._below, self._flux, diffusion * self._spread)
         fastest = float(rate[self._full].max(initial=0.0))
         if fastest == 0.0:  # nothing but cut cells
-            fastest = float((rate / np.maximum(self._least, _LEAST)).max(initial=0.0))
+            fastest = float((rate / np.maximum(self._start, _LEAST)).max(initial=0.0))
         return 1.0 / fastest if fastest > 0 else np.inf
 
     def settle(self, dt: float) -> None:
@@ -154,17 +138,25 @@ class ConservativeBed:
         runs of positions that hold the lower faces, along every axis, of the owned moving cells
         and of the cells above those. Closes the faces inside groups.
         """
-        moving_mine = self.moving & self._mine
+        # what a cell holds when a step begins, at the first and at the last step of the interval
+        lost = np.maximum(self._start - self._end, 0.0)
+        least = np.minimum(self._start, self._end + lost * min(1.0, dt / self.interval.duration))
+        held = np.stack([self._start, self._end, least])
+        held[held <= _ROUND_OFF] = 0.0
         cut = self.moving & ~self._full
-        self.merged = merge(self._below, self._flux, self._spread, self._least, cut, dt)
+        self.merged = merge(self._below, self._flux, self._spread, held, cut, dt)
         self.groups = self._local_groups()
         self._close_inner()
-        place = self._place[moving_mine]
-        self.face_runs = runs_of(
-            np.unique(np.concatenate([place, *(place + s for s in self.strides)]))
-        )
-        moving_mine[self.merged.members] = False
-        self.runs = runs_of(np.sort(self._place[moving_mine]))
+        mine = self._placing.mine
+        faces = np.zeros(self.full.size, dtype=bool)
+        place = self._placing.place[self.moving & mine]
+        faces[place] = True
+        for s in self.strides:
+            faces[place + s] = True
+        self.face_runs = runs_of(np.flatnonzero(faces))
+        regular = self.moving & mine
+        regular[self.merged.members] = False
+        self.runs = runs_of(self._placing.place[regular])
 
     def _local_groups(self) -> LocalGroups:
         groups = self.merged
@@ -173,15 +165,14 @@ class ConservativeBed:
         rate = np.bincount(
             number, weights=(self._end - self._start)[groups.members], minlength=count
         )
-        place = self._place[groups.members]
-        owned = place >= 0
+        owned = self._placing.mine[groups.members]
         here = np.bincount(number[owned], minlength=count)
         partly = (here > 0) & (here < np.diff(groups.first))
         shared_anywhere = np.flatnonzero(self.split.totals(partly.astype(float)))
         present = np.flatnonzero(here > 0)
         shared = np.flatnonzero(np.isin(present, shared_anywhere))
         return LocalGroups(
-            members=place[owned],
+            members=self._placing.place[groups.members[owned]],
             first=np.concatenate([[0], np.cumsum(here[present])]),
             start=start[present].astype(float),
             rate=rate[present] / self.interval.duration,
@@ -192,34 +183,43 @@ class ConservativeBed:
         )
 
     def _close_inner(self) -> None:
-        group = np.full(len(self._full), -1, dtype=np.int64)
-        group[self.merged.members] = self.merged.number
-        for axis in range(self.grid.dimension):
-            below = self._below[axis]
-            inner = (below >= 0) & (group >= 0) & (group[below] == group)
-            keep = self._local(~inner)
-            self.flux[axis] *= keep
-            self.spread[axis] *= keep
+        """Nothing goes through the faces between cells of one group."""
+        place = self._placing.place[self.merged.members]
+        here = place >= 0
+        place, number = place[here], self.merged.number[here]
+        group = np.full(self.full.size, -1, dtype=np.int64)
+        group[place] = number
+        for axis, stride in enumerate(self.strides):
+            behind = place - stride
+            inner = place[(behind >= 0) & (group[behind] == number)]
+            self.flux[axis, inner] = 0.0
+            self.spread[axis, inner] = 0.0
 
     def shifted(self, values: FloatArray, axis: int, by: int) -> FloatArray:
         """values[cell + by] along an axis, in flattened local arrays (edges are not valid)."""
         return np.roll(values, -by * self.strides[axis], axis=-1)
 
-    def enter(self, values: FloatArray, time: float) -> FloatArray:
-        """Concentrations (m, n) on the interval's cells with those of a group made one.
+    def share_within_groups(self, values: FloatArray, time: float) -> None:
+        """Give the owned cells of each group their mean, in place; values (m, cells); collective.
 
-        A group takes the mean weighted by what its cells hold at `time` (s), so that no content
-        is lost.
+        The mean is weighted by what the cells hold at `time` (s), so that no content is lost.
         """
-        members, number = self.merged.members, self.merged.number
-        weight = self.fraction_at(time)[members]
-        held = np.bincount(number, weights=weight, minlength=len(self.merged))
-        result = values.copy()
-        for row in result:
-            mean = np.bincount(number, weights=weight * row[members], minlength=len(held))
-            mean = np.divide(mean, held, out=np.zeros(len(held)), where=held > 0)
-            row[members] = np.where(held[number] > 0, mean[number], row[members])
-        return result
+        groups = self.groups
+        fraction = np.zeros(self.full.size)
+        mine = self._placing.mine
+        fraction[self.owned] = self.fraction_at(time)[mine]
+        weight = fraction[groups.members]
+        number = np.repeat(np.arange(len(groups.start)), np.diff(groups.first))
+        sums = [
+            np.bincount(number, weights=weight * row, minlength=len(groups.start)).astype(float)
+            for row in (np.ones(len(weight)), *values[:, groups.members])
+        ]
+        share_sums(self.split, groups, sums)
+        held = sums[0] > _ROUND_OFF
+        for row, content in zip(values, sums[1:], strict=True):
+            mean = np.divide(content, sums[0], out=np.zeros_like(content), where=held)
+            # a group that holds nothing yet takes any one value
+            row[groups.members] = mean[number]
 
     def bounds(self, values: FloatArray) -> tuple[float, float]:
         """Least and greatest of all components, the last one included, where the bed moves.
@@ -241,6 +241,10 @@ class ConservativeBed:
         excess = np.where(np.isnan(excess), np.inf, excess)
         at = int(np.argmax(excess))
         return float(excess[at]), int(cells[at])
+
+    def known_at(self, time: float) -> IntArray:
+        """Flat grid indices of the cells that carry a concentration at a time (s)."""
+        return self.interval.cells[self.fraction_at(time) > _ROUND_OFF]
 
     def fraction_at(self, time: float) -> FloatArray:
         """Fill fraction of the interval's cells at a time, (n,)."""

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from scaleup.errors import InputError
@@ -41,6 +42,34 @@ class GhostedField:
             self._scatter.scatter(
                 self._vector, self._vector, addv=PETSc.InsertMode.INSERT, mode="forward"
             )
+
+
+class Placing:
+    """Where the cells of a list lie in a rank's flattened local arrays; found once, used often.
+
+    place -- (n,) position of each cell, owned or ghost, -1 if it is not in the rank's box
+    mine  -- (n,) whether this rank owns it
+    owned -- positions of those that it owns, ascending if the cells are
+    """
+
+    def __init__(self, split: Decomposition, cells: IntArray):
+        self._split, self._cells = split, cells
+        self._size = math.prod(split.local_shape)
+        inside, where = split.local_position(cells)
+        self.place = np.full(len(cells), -1, dtype=np.int64)
+        self.place[inside] = np.ravel_multi_index(where, split.local_shape)
+        self.mine, owned = split.owned_cells(cells)
+        self.owned: IntArray = np.ravel_multi_index(owned, split.local_shape)
+        self._inside, self._there = inside, self.place[inside]
+
+    def local(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values (..., n) on flattened local arrays (..., cells), ghosts included, else 0."""
+        if self._split.grid.periodic:  # a cell may be in several places
+            wrapped = self._split.to_local(self._cells, values)
+            return wrapped.reshape(*values.shape[:-1], self._size)
+        result = np.zeros((*values.shape[:-1], self._size), dtype=values.dtype)
+        result[..., self._there] = values[..., self._inside]
+        return result
 
 
 class Decomposition:
@@ -104,6 +133,10 @@ class Decomposition:
         vector = layout.duplicate()
         vector.set(0.0)
         return GhostedField(vector, (components, *self.local_shape), scatter)
+
+    def placing(self, cells: IntArray) -> Placing:
+        """Where these flat grid indices lie in this rank's local arrays."""
+        return Placing(self, cells)
 
     def to_local(self, cells: IntArray, values: FloatArray, empty: float = 0.0) -> FloatArray:
         """Dense local array (ghosts included) of values given at flat grid indices.

@@ -58,7 +58,9 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
         self._guard = StepGuard(
             self.split, options.courant, options.time_step, self.overshoot, scene.force
         )
-        self._enter(index, scene.flow.intervals[index].cells, concentration[:-1])
+        self._enter(index)
+        self.put(scene.flow.intervals[index].cells, concentration[:-1])
+        self._begin()
 
     @abstractmethod
     def make_bed(self, interval: Interval) -> AnyBed:
@@ -89,7 +91,10 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
     def advance(self, index: int, start: float, end: float) -> Ledger:
         """Equal steps within the limit (collective)."""
         if index != self._index:
-            self._enter(index, self.bed.known, self._values())
+            before = self.bed
+            self._enter(index)
+            self.carry_over(before)
+            self._begin()
         stable = self.bed.stable_step
         count, dt = self._guard.steps(start, end, stable)
         updates = count * self.bed.updates * self.moved
@@ -101,33 +106,51 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
             done += block
             low, high = self.bounds()
             ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
-            self._guard.judge(low, high, start + done * dt, dt, stable, self.worst)
+            self._now = start + done * dt
+            self._guard.judge(low, high, self._now, dt, stable, self.worst)
         return ledger
 
     def concentration(self, interval: Interval) -> FloatArray:
         """(components, n) on the interval's cells, on every rank; sums to 1 (collective).
 
-        Cells that carry no value take what is around them.
+        Cells that hold nothing, or carry no value, take what is around them.
         """
-        grid = self.scene.flow.grid
-        moved = spread_outwards(grid, self.bed.known, self._values(), interval.cells)
+        cells, values = self._values()
+        moved = spread_outwards(self.scene.flow.grid, cells, values, interval.cells)
         return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
 
-    def _enter(self, index: int, cells: IntArray, values: FloatArray) -> None:
-        """Take up the values (m, n) at `cells` on the bed of interval `index`."""
+    def carry_over(self, before: AnyBed) -> None:
+        """Take the values on another bed over to `self.bed`; collective.
+
+        Nothing to do where all cells carry a value: the field holds them, and a cell that was not
+        active holds nothing yet.
+        """
+
+    def put(self, cells: IntArray, values: FloatArray) -> None:
+        """Set the field from values (m, n) at `cells`, spread to where there are none."""
+        active = self.bed.interval.cells
+        here = spread_outwards(self.scene.flow.grid, cells, values, active)
+        self.field.flat[...] = self.split.placing(active).local(here)
+
+    def _enter(self, index: int) -> None:
+        """Settle on the bed of an interval."""
         flow = self.scene.flow
         self._index, interval = index, flow.intervals[index]
         self.bed: AnyBed = self.make_bed(interval)
         lasts_for_ever = flow.steady and index == flow.prefix
         longest = np.inf if lasts_for_ever else interval.duration
         self.bed.settle(min(longest, self.bed.stable_step))
-        here = spread_outwards(flow.grid, cells, values, interval.cells)
-        entering = self.bed.enter(here, interval.start)
-        self.field.array[...] = self.split.to_local(interval.cells, entering)
+        self._now = interval.start
+
+    def _begin(self) -> None:
+        """Take up the field on the bed that was just entered."""
+        self.bed.share_within_groups(self.field.flat, self._now)
+        self.field.exchange()
         self.entered()
 
-    def _values(self) -> FloatArray:
-        """(m, n) at the bed's known cells, collected on every rank."""
-        mine, where = self.split.owned_cells(self.bed.known)
+    def _values(self) -> tuple[IntArray, FloatArray]:
+        """Cells that carry a value now, and (m, n) of them, collected on every rank."""
+        known = self.bed.known_at(self._now)
+        mine, where = self.split.owned_cells(known)
         place = np.ravel_multi_index(where, self.split.local_shape)
-        return self.split.gather(self.bed.known, self.field.flat[:, place], mine)
+        return known, self.split.gather(known, self.field.flat[:, place], mine)

@@ -16,7 +16,7 @@ c_k with sum 1:
 5. phi c = phi c_low - div(alpha A).
 
 Since sum_k A_k = 0 and alpha is common to all components, they sum to 1 and each is >= 0, hence
-<= 1. Where R = 1 everywhere the high-order solution is kept as it is.
+<= 1. Where the high-order solution keeps the bounds everywhere it is taken as it is.
 """
 
 from __future__ import annotations
@@ -56,24 +56,31 @@ class FluxCorrection:
 
     def update(
         self, new: FloatArray, c: FloatArray, fluxes: FloatArray, start: float, end: float
-    ) -> None:
-        """phi(end) new = phi(start) c - div(fluxes) in the owned cells that move (collective)."""
+    ) -> tuple[FloatArray, float]:
+        """phi(end) new = phi(start) c - div(fluxes) in the owned cells that move (collective).
+
+        Returns what leaves each group, (m, groups), and the greatest content, in size, left on
+        this rank in cells that end empty.
+        """
         bed, groups = self._bed, self._bed.groups
         lost = self._lost(fluxes)
         before, after = groups.fraction(start), groups.fraction(end)
+        left = 0.0
         for k in range(len(fluxes)):
             kernels.update_regular(new[k], c[k], fluxes[k], bed.runs, self._strides)
-            kernels.update_groups(
+            left_of_one = kernels.update_groups(
                 new[k], c[k], lost[k], before, after, groups.members, groups.first
             )
+            left = max(left, left_of_one)
+        return lost, left
 
     def apply(self, c: FloatArray, fluxes: FloatArray, start: float, end: float) -> None:
         """Overwrite c by its values at `end`, bounded; collective. Uses up the fluxes."""
         bed, m, strides = self._bed, len(c), self._strides
         content, groups = self._content, bed.groups
-        self.update(content, c, fluxes, start, end)
-        low, high = bed.bounds(content[:m])
-        if -low <= _ROUND_OFF and high - 1.0 <= _ROUND_OFF:
+        lost, left = self.update(content, c, fluxes, start, end)
+        low, high = kernels.bounds(content[:m], bed.runs, groups.members)
+        if not self._split.largest(max(-low, high - 1.0, left)) > _ROUND_OFF:
             for k in range(m):
                 kernels.copy(c[k], content[k], bed.runs, groups.members)
             return
@@ -82,13 +89,14 @@ class FluxCorrection:
             kernels.subtract_low_order(
                 fluxes[k], c[k], bed.flux, bed.spread, end - start, bed.face_runs, strides
             )
-        after = groups.fraction(end)
-        lost = kernels.group_losses(fluxes, groups.members, groups.first, strides)
+        before, after = groups.fraction(start), groups.fraction(end)
+        added = kernels.group_losses(fluxes, groups.members, groups.first, strides)
         outgoing = kernels.group_outgoing(fluxes, groups.members, groups.first, strides)
-        share_sums(self._split, groups, [*lost, *outgoing])
+        share_sums(self._split, groups, [*added, *outgoing])
         kernels.low_order_content(
-            content, fluxes, lost, after, bed.runs, groups.members, groups.first, strides
-        )
+            content, c, fluxes, lost - added, before, after, bed.runs, groups.members,
+            groups.first, strides,
+        )  # fmt: skip
         self._find_shares(fluxes, outgoing)
         self._limit(fluxes)
         lost = self._lost(fluxes)

@@ -64,14 +64,22 @@ def update_groups(
     after: FloatArray,
     members: IntArray,
     first: IntArray,
-) -> None:
-    """New = (before c - lost)/after, one value for a group; one that ends empty keeps its c."""
+) -> float:
+    """New = (before c - lost)/after, one value for a group; one that ends empty keeps its c.
+
+    Returns the greatest content, in size, that is left in a group that ends empty.
+    """
+    left = 0.0
     for g in range(len(first) - 1):
         value = c[members[first[g]]]
+        content = before[g] * value - lost[g]
         if after[g] > EMPTY:
-            value = (before[g] * value - lost[g]) / after[g]
+            value = content / after[g]
+        else:
+            left = max(left, abs(content))
         for i in range(first[g], first[g + 1]):
             new[members[i]] = value
+    return left
 
 
 @numba.njit(cache=True)
@@ -157,15 +165,21 @@ def group_outgoing(flux: FloatArray, members: IntArray, first: IntArray, s: Stri
 @numba.njit(cache=True)
 def low_order_content(
     content: FloatArray,
+    c: FloatArray,
     flux: FloatArray,
     lost: FloatArray,
+    before: FloatArray,
     after: FloatArray,
     runs: IntArray,
     members: IntArray,
     first: IntArray,
     s: Strides,
 ) -> None:
-    """Phi c_low = phi c_high + div(A) in place of c_high, for m components, and for the last."""
+    """Phi c_low for m components and for the last.
+
+    In runs from c_high, which `content` holds, by adding div(A); in groups from c and what the
+    low-order fluxes take out, `lost`.
+    """
     count = flux.shape[0]
     for r in range(runs.shape[0]):
         a, b = runs[r, 0], runs[r, 1]
@@ -182,7 +196,7 @@ def low_order_content(
     for g in range(len(first) - 1):
         rest_of_group = after[g]
         for m in range(count):
-            value = after[g] * content[m, members[first[g]]] + lost[m, g]
+            value = before[g] * c[m, members[first[g]]] - lost[m, g]
             rest_of_group -= value
             for i in range(first[g], first[g + 1]):
                 content[m, members[i]] = value

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from scaleup.grid import FloatArray, Grid, IntArray
+from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 
 _SLACK = 1e-9  # of the rule, so that round-off merges no cell
+_LITTLE = 1e-3  # fill fraction: content of 1e-17 of a cell is 1e-14 of its concentration
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,8 @@ def merge(
     below: IntArray,
     flux: FloatArray,
     spread: FloatArray,
-    least: FloatArray,
-    always: FloatArray,
+    held: FloatArray,
+    always: BoolArray,
     dt: float,
 ) -> Groups:
     """Groups in which no more leaves in a step than the group holds.
@@ -69,16 +70,18 @@ def merge(
     below  -- (dimension, n) from `neighbours_below`
     flux, spread -- (dimension, n), 1/s: flux and diffusive conductance of the lower faces over
               the volume of a cell
-    least  -- (n,), the least the cell holds during the interval, over the volume of a cell
-    always -- (n,) bool: cells that are a group even if nothing is merged with them
+    held   -- (3, n): what the cell holds over the volume of a cell, at the start and the end of
+              the interval, and the least when a step of it begins
+    always -- (n,) cells that are a group even if nothing is merged with them
     dt     -- s, the step; full cells must obey the rule at it
 
-    Algorithm: while a group breaks the rule, it takes in the neighbouring group that brings its
-    ratio of what leaves to what it holds down most.
+    Algorithm: while a group breaks the rule, or starts or ends with so little that its
+    concentration would be round-off, it takes in the neighbouring group that brings its ratio of
+    what leaves to what it holds down most.
     """
-    root = _merge(below, flux, spread, least, dt)
+    root = _merge(below, flux, spread, held, dt)
     size = np.bincount(root, minlength=len(root))
-    grouped = np.flatnonzero(always.astype(bool) | (size[root] > 1))
+    grouped = np.flatnonzero(always | (size[root] > 1))
     order = np.argsort(root[grouped], kind="stable")
     members = grouped[order]
     roots = root[members]
@@ -104,16 +107,21 @@ def leaving_rate(below: IntArray, flux: FloatArray, spread: FloatArray) -> Float
     return rate
 
 
+@numba.njit(inline="always")
+def _breaks(leaves: float, start: float, end: float, held: float) -> bool:
+    little = 0.0 < start < _LITTLE or 0.0 < end < _LITTLE
+    return little or leaves > held + _SLACK * (1.0 + held)
+
+
 @numba.njit(cache=True)
 def _merge(
-    below: IntArray, flux: FloatArray, spread: FloatArray, least: FloatArray, dt: float
+    below: IntArray, flux: FloatArray, spread: FloatArray, held_by: FloatArray, dt: float
 ) -> IntArray:
     """Number of the group of each cell (that of one of its members)."""
     dimension, n = flux.shape
     root = np.arange(n)
     rate = leaving_rate(below, flux, spread)
-    held = least.copy()
-    breaks = rate * dt > held + _SLACK * (1.0 + held)
+    start, end, held = held_by[0].copy(), held_by[1].copy(), held_by[2].copy()
     above = np.full((dimension, n), -1)
     for axis in range(dimension):
         for i in range(n):
@@ -121,10 +129,10 @@ def _merge(
                 above[axis, below[axis, i]] = i
     # members of a group are a ring: each points to the next
     following = np.arange(n)
-    queue = [i for i in range(n) if breaks[i]]
+    queue = [i for i in range(n) if _breaks(rate[i] * dt, start[i], end[i], held[i])]
     while len(queue) > 0:
         group = root[queue.pop()]
-        if rate[group] * dt <= held[group] + _SLACK * (1.0 + held[group]):
+        if not _breaks(rate[group] * dt, start[group], end[group], held[group]):
             continue
         best, best_ratio, best_rate = -1, np.inf, 0.0
         member = group
@@ -156,6 +164,7 @@ def _merge(
                 break
         following[group], following[best] = following[best], following[group]
         rate[group], held[group] = best_rate, held[group] + held[best]
+        start[group], end[group] = start[group] + start[best], end[group] + end[best]
         queue.append(group)
     return root
 

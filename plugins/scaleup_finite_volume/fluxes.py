@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, ConservativeBed, FloatArray, IntArray
+from scaleup.api import ConservativeBed, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -45,51 +45,83 @@ class Faces:
 def find_faces(bed: ConservativeBed) -> Faces:
     """Sort the faces of a settled bed into regular and special ones."""
     dimension = bed.grid.dimension
-    candidates = np.zeros(bed.full.shape, dtype=bool)
-    for start, stop in bed.face_runs:
-        candidates[start:stop] = True
-    special, weights = [], []
-    cross = np.zeros((dimension - 1, dimension, candidates.size))
-    for axis in range(dimension):
-
-        def along(values: BoolArray, by: int, axis: int = axis) -> BoolArray:
-            return np.asarray(bed.shifted(values, axis, by))
-
-        smooth = np.logical_and.reduce([along(bed.full, by) for by in range(-3, 3)])
-        passes = (bed.flux[axis] != 0) | (bed.spread[axis] != 0)
-        here = np.flatnonzero(candidates & passes & ~smooth)
-        holds = np.stack([along(bed.holds, by)[here] for by in range(-2, 2)])
-        special.append(np.stack([np.full(len(here), axis), here]))
-        weights.append(_special_weights(bed.flux[axis, here] > 0, holds))
-        others = [b for b in range(dimension) if b != axis]
-        for row, b in enumerate(others):
-            cross[row, axis] = _transverse(bed, axis, b) * passes
-    return Faces(cross, np.concatenate(special, axis=1), np.concatenate(weights, axis=1))
+    cross = np.zeros((dimension - 1, dimension, bed.full.size))
+    x, y, *z = bed.strides
+    state = bed.full.astype(np.int8) + bed.holds.astype(np.int8)  # 2 full, 1 holds some, 0 nothing
+    places, weights = _sort(
+        cross, bed.flux, bed.spread, bed.tensor, state, bed.face_runs,
+        (x, y, z[0] if z else 0), np.array(bed.grid.spacing),
+    )  # fmt: skip
+    return Faces(cross, places, weights)
 
 
-def _special_weights(forward: BoolArray, holds: BoolArray) -> FloatArray:
-    """Weights of c_-2 .. c_1 by the direction of flow and by which of these hold material."""
-    weights = np.zeros(holds.shape)
-    upwind = np.where(forward, 1, 2)
-    weights[upwind, np.arange(len(forward))] = 1.0
-    third = np.where(forward, holds[0], holds[3]) & holds[1] & holds[2]
-    weights[:, third & forward] = np.array([-1, 5, 2, 0])[:, None] / 6
-    weights[:, third & ~forward] = np.array([0, 2, 5, -1])[:, None] / 6
-    return weights
+@numba.njit(cache=True)
+def _sort(
+    cross: FloatArray,
+    flux: FloatArray,
+    spread: FloatArray,
+    tensor: FloatArray,
+    state: IntArray,
+    runs: IntArray,
+    strides: tuple[int, int, int],
+    h: FloatArray,
+) -> tuple[IntArray, FloatArray]:
+    """Fill chi (see `Faces.cross`) and return the special faces and their weights."""
+    dimension = flux.shape[0]
+    axes, places = [0 for _ in range(0)], [0 for _ in range(0)]
+    for r in range(runs.shape[0]):
+        for k in range(runs[r, 0], runs[r, 1]):
+            for axis in range(dimension):
+                if flux[axis, k] == 0.0 and spread[axis, k] == 0.0:
+                    continue
+                s, row = strides[axis], 0
+                both_full = state[k] == 2 and state[k - s] == 2
+                for other in range(dimension):
+                    if other == axis:
+                        continue
+                    if both_full:
+                        cross[row, axis, k] = _chi(
+                            flux, tensor, state, k, s, strides[other], axis, other, h
+                        )
+                    row += 1
+                smooth = both_full and state[k - 3 * s] == 2 and state[k - 2 * s] == 2
+                if not (smooth and state[k + s] == 2 and state[k + 2 * s] == 2):
+                    axes.append(axis)
+                    places.append(k)
+    special = np.empty((2, len(axes)), dtype=np.int64)
+    weights = np.zeros((4, len(axes)))
+    for i in range(len(axes)):
+        axis, k = axes[i], places[i]
+        s = strides[axis]
+        special[0, i], special[1, i] = axis, k
+        up, down, beyond = (1, 2, 0) if flux[axis, k] > 0.0 else (2, 1, 3)
+        there = state[k + (beyond - 2) * s] > 0 and state[k] > 0 and state[k - s] > 0
+        weights[up, i] = 5 / 6 if there else 1.0
+        if there:
+            weights[down, i], weights[beyond, i] = 2 / 6, -1 / 6
+    return special, weights
 
 
-def _transverse(bed: ConservativeBed, axis: int, other: int) -> FloatArray:
-    """Chi of the faces normal to `axis` for the transverse axis `other`, 1/s."""
-    holds = bed.holds & bed.shifted(bed.holds, other, 1) & bed.shifted(bed.holds, other, -1)
-    holds = holds & bed.shifted(holds, axis, -1)
-    full = bed.full & bed.shifted(bed.full, axis, -1)
-    shear = bed.shifted(bed.flux[axis], other, 1) - bed.shifted(bed.flux[axis], other, -1)
-    beside = bed.shifted(full, other, 1) & bed.shifted(full, other, -1)
-    mixed = bed.tensor[axis, other]
-    mixed = 0.5 * (mixed + bed.shifted(mixed, axis, -1))
-    h = bed.grid.spacing
-    chi = -mixed / (4 * h[axis] * h[other]) + np.where(beside, shear, 0.0) / 96
-    return np.asarray(np.where(holds & full, chi, 0.0))
+@numba.njit(inline="always")
+def _chi(
+    flux: FloatArray,
+    tensor: FloatArray,
+    state: IntArray,
+    k: int,
+    s: int,
+    t: int,
+    axis: int,
+    other: int,
+    h: FloatArray,
+) -> float:
+    """Chi of the lower face of cell k normal to `axis`, for the transverse axis `other`, 1/s."""
+    around = min(min(state[k + t], state[k - t]), min(state[k - s + t], state[k - s - t]))
+    if around == 0:
+        return 0.0
+    chi = -0.5 * (tensor[axis, other, k] + tensor[axis, other, k - s]) / (4 * h[axis] * h[other])
+    if around == 2:
+        chi += (flux[axis, k + t] - flux[axis, k - t]) / 96
+    return chi
 
 
 def high_order(

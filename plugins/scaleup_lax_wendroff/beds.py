@@ -83,9 +83,12 @@ class PaperBed(Bed):
     def settle(self, dt: float) -> None:
         """Nothing is merged."""
 
-    def enter(self, values: FloatArray, time: float) -> FloatArray:
+    def share_within_groups(self, values: FloatArray, time: float) -> None:
         """Nothing is merged."""
-        return values
+
+    def known_at(self, time: float) -> IntArray:
+        """The nodes."""
+        return self.known
 
     @property
     def updated(self) -> IntArray:

@@ -106,6 +106,13 @@ class PaperTransport(StencilTransport):
         """The bed of this form."""
         return PaperBed(self.scene, interval)
 
+    def carry_over(self, before: Bed) -> None:
+        """Nodes that were none take what is around them."""
+        assert isinstance(before, PaperBed)
+        place = self.split.placing(before.known)
+        owned = self.field.flat[:, place.owned]
+        self.put(before.known, self.split.gather(before.known, owned, place.mine))
+
     def entered(self) -> None:
         """The boundary copies from the start."""
         bed = self._paper_bed
@@ -113,8 +120,9 @@ class PaperTransport(StencilTransport):
         stencil.copy_inward(self.field.flat[0], bed.targets, bed.sources)
         super().entered()
         volume = self.split.grid.cell_volume / float(bed.interval.fill_start.sum())
-        self._share = np.zeros(bed.fraction.shape)  # of the bed's volume, of owned cells
-        self._share[bed.owned] = bed.fraction[bed.owned] * volume
+        self._share = np.zeros(bed.full.shape)  # of the bed's volume, of owned cells
+        mine = self.split.placing(bed.interval.cells).mine
+        self._share[bed.owned] = bed.fraction_at(bed.interval.start)[mine] * volume
         self._before_clipping = (np.inf, -np.inf)
         self._clipped = 0.0
 
