@@ -21,7 +21,7 @@ from scaleup import registry, units
 from scaleup.errors import InputError
 from scaleup.registry import Kind
 from scaleup.scene import Diffusion, Material, Model, Operation
-from scaleup.vessel_shape import level_height
+from scaleup.vessel_shape import level_height, require_resolved, require_vessel
 
 PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
 _MOST_POINTS, _MOST_CELLS = 1e5, 2e9
@@ -127,7 +127,7 @@ def compose(
         user = _merged(user, layer)
     name = _section(user, "geometry").get("name", "drum")
     geometry = registry.load("geometry", _text("geometry.name", name))
-    base = _merged({"geometry": {"name": name}}, _spelt_out(geometry.default_scene))
+    base = _merged({"geometry": {"name": name}}, _spelt_out(_default_scene(geometry, user)))
     for layer in layers:
         base = _merged(base, layer)
     for kind in PLUGIN_SECTIONS:
@@ -144,10 +144,19 @@ def compose(
     return config
 
 
+def _default_scene(geometry: Any, user: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The geometry's default scene, for the options that the user gave it."""
+    scene = geometry.default_scene
+    if not callable(scene):
+        return dict(scene)
+    options = {key: value for key, value in _section(user, "geometry").items() if key != "name"}
+    return dict(scene(_validated(geometry.Options, options, "geometry.")))
+
+
 def _check_together(config: RunConfig) -> None:
     """What one section alone cannot know. Raises InputError."""
     geometry = config.plugin("geometry")
-    config.plugin("flow").check(geometry, config.operation.speed)
+    require_vessel(config.geometry["name"], geometry)
     fill_volume(config)
     centre = config.operation.loading.centre
     if centre is not None and len(centre) != geometry.dimension:
@@ -162,12 +171,14 @@ def _check_together(config: RunConfig) -> None:
             f"blend curve are more than {_MOST_POINTS:g}"
         )
     spacing, cells = grid_spacing(config), 1.0
+    require_resolved(geometry, spacing)
     for low, high in zip(geometry.lower, geometry.upper, strict=True):
         cells *= (high - low) / spacing
     if cells > _MOST_CELLS:
         raise InputError(
             f"grid: a spacing of {spacing:.3g} m gives {cells:.3g} cells, more than {_MOST_CELLS:g}"
         )
+    config.plugin("flow").check(geometry, config.operation.speed)
 
 
 def fill_volume(config: RunConfig) -> float:

@@ -106,9 +106,10 @@ def _positive_share(values: FloatArray) -> FloatArray:
 
     def corner(i: int) -> FloatArray:
         share = np.ones(v.shape[1])
-        for j in range(n_vertices):
-            if j != i:
-                share *= v[i] / np.where(v[i] == v[j], tiny, v[i] - v[j])
+        with np.errstate(over="ignore"):  # where v[i] == v[j] the share is not used
+            for j in range(n_vertices):
+                if j != i:
+                    share *= v[i] / np.where(v[i] == v[j], tiny, v[i] - v[j])
         return share
 
     share = np.where(positive == n_vertices, 1.0, 0.0)

@@ -11,7 +11,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FLOORS = [
     {"errors", "files", "__init__"},
     {"grid", "units", "launch"},
-    {"spread", "cut_cells"},
+    {"spread", "cut_cells", "closed_surface"},
     {"flow_field", "scene", "parallel", "decomposition", "progress"},
     {"stream_function", "registry", "output_folder", "vessel_shape"},
     {"api", "loading", "diffusion_tensor", "metrics"},
