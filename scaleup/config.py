@@ -307,7 +307,8 @@ def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
         rule = first["msg"].removeprefix("Value error, ")
         rule = rule[:1].lower() + rule[1:]
     value = first["input"]
-    shown = f" = {value!r}" if not isinstance(value, Mapping) or len(value) <= 3 else ""
+    tell = first["type"] != "missing" and (not isinstance(value, Mapping) or len(value) <= 3)
+    shown = f" = {value!r}" if tell else ""
     more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
     return f"{key.rstrip('.')}{shown}: {rule}{more}"
 
