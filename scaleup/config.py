@@ -19,6 +19,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from scaleup import registry, units
 from scaleup.errors import InputError
+from scaleup.loading_file import read_loading
 from scaleup.registry import Kind
 from scaleup.scene import Diffusion, Material, Model, Operation
 from scaleup.vessel_shape import level_height, require_resolved, require_vessel
@@ -158,7 +159,15 @@ def _check_together(config: RunConfig) -> None:
     geometry = config.plugin("geometry")
     require_vessel(config.geometry["name"], geometry)
     fill_volume(config)
-    centre = config.operation.loading.centre
+    loading = config.operation.loading
+    if loading.direction == "z" and geometry.dimension == 2:
+        raise InputError(
+            f"operation.loading.pattern = {loading.pattern!r}: layers along z need a vessel in "
+            f"3-D, and the geometry {config.geometry['name']!r} is a cross-section as it is set"
+        )
+    if loading.file is not None:
+        read_loading(loading.file, geometry.dimension)
+    centre = loading.centre
     if centre is not None and len(centre) != geometry.dimension:
         raise InputError(
             f"operation.loading.centre = {list(centre)}: the geometry {config.geometry['name']!r} "

@@ -12,7 +12,7 @@ FLOORS = [
     {"errors", "files", "__init__"},
     {"grid", "units", "launch"},
     {"spread", "cut_cells", "closed_surface"},
-    {"flow_field", "scene", "parallel", "decomposition", "progress"},
+    {"flow_field", "scene", "parallel", "decomposition", "progress", "loading_file"},
     {"stream_function", "registry", "output_folder", "vessel_shape"},
     {"api", "loading", "diffusion_tensor", "metrics"},
     {"testing", "config", "storage", "figures"},
