@@ -110,12 +110,14 @@ def compose(
     file: Path | None = None,
     assignments: Iterable[str] = (),
     flags: Mapping[str, Any] | None = None,
+    flow_must_accept: bool = True,
 ) -> RunConfig:
     """Compose and validate a configuration.
 
     file        -- TOML
     assignments -- texts `section.key=value`; a value is read as TOML, else taken as text
     flags       -- nested tables of the command line's short flags
+    flow_must_accept -- whether a flow model that refuses the vessel and speed is an error
     Raises InputError with one sentence naming key, value and rule.
     """
     assigned: dict[str, Any] = {}
@@ -142,6 +144,8 @@ def compose(
         plugin = registry.load(kind, section.pop("name"))
         _validated(plugin.Options, section, f"{kind}.")
     _check_together(config)
+    if flow_must_accept:
+        config.plugin("flow").check(config.plugin("geometry"), config.operation.speed)
     return config
 
 
@@ -187,7 +191,6 @@ def _check_together(config: RunConfig) -> None:
         raise InputError(
             f"grid: a spacing of {spacing:.3g} m gives {cells:.3g} cells, more than {_MOST_CELLS:g}"
         )
-    config.plugin("flow").check(geometry, config.operation.speed)
 
 
 def fill_volume(config: RunConfig) -> float:
