@@ -26,19 +26,19 @@ class Tote:
         """Size of the bin, how it is held, and its baffle."""
 
         size: Literal["lab", "pilot", "plant"] = "lab"
-        """sets the dimensions that are not given: about 10, 400 or 2000 litres"""
+        """sets the dimensions that are not given: about 14, 300 or 2000 litres"""
         length: units.Length | None = None
-        """m, of the box along x; default 0.22, 0.8 or 1.35 by size"""
+        """m, of the box along x; default 0.24, 0.72 or 1.2 by size"""
         width: units.Length | None = None
-        """m, of the box along z; default 0.22, 0.8 or 1.15"""
+        """m, of the box along z; default 0.24, 0.72 or 1.05"""
         height: units.Length | None = None
-        """m, of the box; default 0.17, 0.5 or 1.1"""
+        """m, of the box; default 0.19, 0.45 or 1.4"""
         hopper: units.Length | None = None
-        """m, height of the hopper; default 0.09, 0.32 or 0.55"""
+        """m, height of the hopper; default 0.1, 0.29 or 0.45"""
         outlet: units.Length | None = None
-        """m, edge of the square outlet; default 0.08, 0.25 or 0.35"""
+        """m, edge of the square outlet; default 0.09, 0.22 or 0.35"""
         edge_radius: Annotated[float, Field(ge=0)] | None = None
-        """m, of all edges, 0 for sharp ones; default 0.02, 0.06 or 0.1"""
+        """m, of all edges, 0 for sharp ones; default 0.02, 0.05 or 0.1"""
         axis_height: units.Length | None = None
         """m, of the axis of rotation above the outlet; default: that of the bin's centre of
         volume, so that the empty bin is balanced"""

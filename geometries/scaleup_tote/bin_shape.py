@@ -39,10 +39,13 @@ class Size(NamedTuple):
     edge_radius: float
 
 
+# The volumes of the first two are those of Gallay's bins in Alexander et al., Pharmaceutical
+# Technology 2004, part 2 of 3, volume and footprint of the third those of the Tote System's bin (42
+# by 48 in, 74 cubic feet) in Wright 1950; the other dimensions are typical, not quoted.
 SIZES = {
-    "lab": Size(0.22, 0.22, 0.17, 0.09, 0.08, 0.02),
-    "pilot": Size(0.8, 0.8, 0.5, 0.32, 0.25, 0.06),
-    "plant": Size(1.35, 1.15, 1.1, 0.55, 0.35, 0.1),
+    "lab": Size(0.24, 0.24, 0.19, 0.1, 0.09, 0.02),
+    "pilot": Size(0.72, 0.72, 0.45, 0.29, 0.22, 0.05),
+    "plant": Size(1.2, 1.05, 1.4, 0.45, 0.35, 0.1),
 }
 
 

@@ -97,7 +97,7 @@ def test_a_square_bin_turned_by_an_eighth_is_still_its_mirror_image():
 
 
 def test_sizes_grow_at_one_froude_number_and_given_dimensions_win():
-    litres = {"drum": (3, 200, 4000), "tote": (10, 400, 2000), "v-blender": (8, 100, 1500)}
+    litres = {"drum": (3, 200, 4000), "tote": (14, 300, 2000), "v-blender": (8, 100, 1500)}
     for name, wanted in litres.items():
         closed = {"end_walls": True} if name == "drum" else {}
         for size, litre in zip(("lab", "pilot", "plant"), wanted, strict=True):

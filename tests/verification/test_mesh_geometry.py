@@ -177,3 +177,23 @@ def test_a_unit_must_be_given_and_an_unreadable_file_is_said(tmp_path):
     (tmp_path / "v.step").write_text("")
     with pytest.raises(InputError, match="must be 'mm' for STEP"):
         vessel(file=tmp_path / "v.step", unit="m")
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "sentence"),
+    [
+        ("hole", [], "not watertight"),
+        ("mm", [], "check the unit of its dimensions"),
+        ("", ["geometry.axis_point=['1 m', 0, 0]"], "the axis of rotation misses the vessel"),
+        ("", ["operation.fill.mass=100 kg"], "the vessel holds 36 kg"),
+    ],
+)
+def test_the_command_line_says_it_and_writes_nothing(scaleup, tmp_path, change, settings, sentence):
+    _box(tmp_path / "box.stl", change)
+    texts = ["geometry.file=box.stl", "geometry.unit=m", "mixing.name=lax-wendroff", *settings]
+    arguments = [word for text in texts for word in ("--set", text)]
+    done = scaleup("simulate", "--geometry", "mesh", *arguments, "--output", "run")
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["box.stl"]
