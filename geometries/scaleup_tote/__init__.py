@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from scaleup.api import Axis, FloatArray, InputError, PluginOptions, units
-from scaleup_tote.bin_shape import SIZES, Baffle, Bin
+from scaleup_tote.bin_shape import SIZES, Baffle, Size, held_bin
 
 _LAB_SPEED = 5.0  # rpm
 
@@ -88,8 +88,7 @@ class Tote:
                     f"geometry.outlet = {size['outlet']:g} m: must be below geometry.{part} = "
                     f"{size[part]:g} m"
                 )
-        self._bin = Bin(**size, axis_height=options.axis_height, tilt=options.tilt,
-                        turn=options.turn)  # fmt: skip
+        self._bin = held_bin(Size(**size), options.axis_height, options.tilt, options.turn)
         self._baffle: Baffle | None = None
         self.thinnest = math.inf
         if options.baffle:

@@ -14,6 +14,7 @@ about y, then about x, with the origin on the axis of rotation.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -56,20 +57,9 @@ class Bin:
     round for the smallest face.
     """
 
-    def __init__(
-        self,
-        length: float,
-        width: float,
-        height: float,
-        hopper: float,
-        outlet: float,
-        edge_radius: float,
-        axis_height: float | None,
-        tilt: float,
-        turn: float,
-    ):
-        self.dimensions = Size(length, width, height, hopper, outlet, edge_radius)
-        self.radius = edge_radius
+    def __init__(self, size: Size, axis_height: float | None, tilt: float, turn: float):
+        self.dimensions = size
+        self.radius = size.edge_radius
         self._planes = _planes(self.dimensions)
         core = _core(self._planes, self.dimensions)
         hull, surface = _outward(core)
@@ -152,6 +142,12 @@ class Bin:
         return moved.Rotate(Axis(origin, Y), math.degrees(turn)).Rotate(
             Axis(origin, X), math.degrees(tilt)
         )
+
+
+@lru_cache(maxsize=8)
+def held_bin(size: Size, axis_height: float | None, tilt: float, turn: float) -> Bin:
+    """The bin of these dimensions; a run asks for the same one many times."""
+    return Bin(size, axis_height, tilt, turn)
 
 
 class Baffle:
