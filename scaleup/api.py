@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from numpy.typing import NDArray
 
 from scaleup import units
+from scaleup.closed_surface import ClosedSurface
 from scaleup.conservative_bed import ConservativeBed, runs_of
 from scaleup.cut_cells import cut_fraction, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
@@ -40,6 +41,7 @@ __all__ = [
     "GRAVITY",
     "Axis",
     "BoolArray",
+    "ClosedSurface",
     "ConservativeBed",
     "ContractError",
     "Diffusion",
@@ -106,8 +108,9 @@ class Geometry(Protocol):
     """A vessel, at rest and upright (phase 0)."""
 
     Options: ClassVar[type[PluginOptions]]
-    default_scene: ClassVar[Mapping[str, Any]]
-    """configuration sections that make `simulate --geometry NAME` work in minutes"""
+    default_scene: ClassVar[Mapping[str, Any] | Callable[[Any], Mapping[str, Any]]]
+    """configuration sections that make `simulate --geometry NAME` work in minutes; a static method
+    from the Options to such sections where they depend on the vessel's size or kind"""
 
     dimension: int
     """2 (a cross-section) or 3"""
@@ -122,6 +125,17 @@ class Geometry(Protocol):
     volume: float
     """m^3"""
 
+    # These three may be left out; the values after "else" are then taken.
+    symmetry: tuple[tuple[float, ...], ...]
+    """unit normals of the mirror planes, through the axis' point, that the flow shares with the
+    vessel: those across the axis, that is ((0.0, 0.0, 1.0),), else ()"""
+    thinnest: float
+    """m, thickness of the thinnest part inside, such as a baffle, which the grid must resolve;
+    else infinity"""
+    fingerprint: str
+    """a hash of what the shape depends on beside the Options, such as the content of a file; else
+    empty"""
+
     def signed_distance(self, points: FloatArray) -> FloatArray:
         """Distance to the wall, m, positive inside; points (..., dimension) in m."""
         ...
@@ -131,7 +145,10 @@ class Geometry(Protocol):
         ...
 
     def solid(self) -> Any:
-        """The inside as a netgen OCC shape (a face in 2-D), for meshing, in m."""
+        """The inside as a netgen OCC shape (a face in 2-D), for meshing, in m.
+
+        Raises InputError if there is none.
+        """
         ...
 
 

@@ -21,6 +21,7 @@ from scaleup import registry
 from scaleup.config import PLUGIN_SECTIONS, compose, plugin_options
 from scaleup.errors import InputError, ScaleupError, file_error
 from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
+from scaleup.registry import Kind
 
 log = logging.getLogger("scaleup")
 
@@ -175,19 +176,55 @@ def list_plugins() -> None:
 @click.argument("name")
 def show_plugin(name: str) -> None:
     """What a plugin is and its options, with units and defaults."""
-    found = [kind for kind in PLUGIN_SECTIONS if name in registry.available(kind)]
-    if not found:
-        known = ", ".join(n for kind in PLUGIN_SECTIONS for n in registry.available(kind))
-        raise InputError(f"NAME = {name!r}: no such plugin; installed are: {known}")
-    for kind in found:
+    for kind in _kinds_of(name):
         plugin = registry.load(kind, name)
         click.echo(f"{kind} {name}")
         click.echo(_indented(plugin.__doc__))
         click.echo("options:")
         for key, field in plugin.Options.model_fields.items():
-            click.echo(f"  {kind}.{key} = {field.default!r}")
+            default = "(required)" if field.is_required() else repr(field.default)
+            click.echo(f"  {kind}.{key} = {default}")
             if field.description:
                 click.echo(f"      {' '.join(field.description.split())}")
+
+
+@plugins.command("new")
+@click.argument("name")
+def new_plugin(name: str) -> None:
+    """Make a blender of your own: an installable distribution in ./NAME, a double cone to start."""
+    from scaleup.skeleton import make_skeleton
+
+    folder = make_skeleton(name, Path())
+    click.echo(
+        f"{folder}/ holds a blender that runs. Next:\n"
+        f"  pip install -e {folder}\n"
+        f"  scaleup plugins check {name}\n"
+        f"  scaleup simulate --geometry {name}\n"
+        f"and make {folder}/scaleup_{name.replace('-', '_')}/__init__.py your vessel"
+    )
+
+
+@plugins.command("check")
+@click.argument("name")
+@click.option(
+    "--set", "assignments", multiple=True, metavar="SECTION.KEY=VALUE", help="Set any key."
+)
+def check_plugin_named(name: str, assignments: Sequence[str]) -> None:
+    """Run the contract tests on an installed plugin, one line each; exit code 1 if one fails."""
+    kinds = _kinds_of(name)
+    from scaleup import parallel
+
+    comm = parallel.start()
+    from scaleup.plugin_check import check_plugin
+
+    failed = 0
+    for kind in kinds:
+        for finding in check_plugin(kind, name, assignments, comm):
+            click.echo(f"{finding}")
+            sys.stdout.flush()
+            failed += finding.outcome == "FAIL"
+    if failed:
+        raise ScaleupError(f"{failed} check(s) of {name!r} failed")
 
 
 @cli.command()
@@ -272,6 +309,15 @@ def _log_to_terminal(root: bool) -> None:
     handler.setFormatter(logging.Formatter("%(message)s"))
     log.addHandler(handler)
     log.propagate = False
+
+
+def _kinds_of(name: str) -> list[Kind]:
+    """What kinds of plugins are registered under a name. Raises InputError if there are none."""
+    found = [kind for kind in PLUGIN_SECTIONS if name in registry.available(kind)]
+    if not found:
+        known = ", ".join(n for kind in PLUGIN_SECTIONS for n in registry.available(kind))
+        raise InputError(f"NAME = {name!r}: no such plugin; installed are: {known}")
+    return found
 
 
 def _number(key: str, text: str) -> float:

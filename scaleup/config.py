@@ -19,9 +19,10 @@ from pydantic import Field, ValidationError, model_validator
 
 from scaleup import registry, units
 from scaleup.errors import InputError
+from scaleup.loading_file import read_loading
 from scaleup.registry import Kind
 from scaleup.scene import Diffusion, Material, Model, Operation
-from scaleup.vessel_shape import level_height
+from scaleup.vessel_shape import level_height, require_resolved, require_vessel
 
 PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
 _MOST_POINTS, _MOST_CELLS = 1e5, 2e9
@@ -109,12 +110,14 @@ def compose(
     file: Path | None = None,
     assignments: Iterable[str] = (),
     flags: Mapping[str, Any] | None = None,
+    flow_must_accept: bool = True,
 ) -> RunConfig:
     """Compose and validate a configuration.
 
     file        -- TOML
     assignments -- texts `section.key=value`; a value is read as TOML, else taken as text
     flags       -- nested tables of the command line's short flags
+    flow_must_accept -- whether a flow model that refuses the vessel and speed is an error
     Raises InputError with one sentence naming key, value and rule.
     """
     assigned: dict[str, Any] = {}
@@ -127,7 +130,7 @@ def compose(
         user = _merged(user, layer)
     name = _section(user, "geometry").get("name", "drum")
     geometry = registry.load("geometry", _text("geometry.name", name))
-    base = _merged({"geometry": {"name": name}}, _spelt_out(geometry.default_scene))
+    base = _merged({"geometry": {"name": name}}, _spelt_out(_default_scene(geometry, user)))
     for layer in layers:
         base = _merged(base, layer)
     for kind in PLUGIN_SECTIONS:
@@ -141,6 +144,8 @@ def compose(
         plugin = registry.load(kind, section.pop("name"))
         _validated(plugin.Options, section, f"{kind}.")
     _check_together(config)
+    if flow_must_accept:
+        config.plugin("flow").check(config.plugin("geometry"), config.operation.speed)
     return config
 
 
@@ -156,12 +161,29 @@ def plugin_options(kind: Kind, name: str, assignments: Iterable[str]) -> Any:
     return _validated(plugin.Options, tables.get(kind, {}), f"{kind}.")
 
 
+def _default_scene(geometry: Any, user: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The geometry's default scene, for the options that the user gave it."""
+    scene = geometry.default_scene
+    if not callable(scene):
+        return dict(scene)
+    options = {key: value for key, value in _section(user, "geometry").items() if key != "name"}
+    return dict(scene(_validated(geometry.Options, options, "geometry.")))
+
+
 def _check_together(config: RunConfig) -> None:
     """What one section alone cannot know. Raises InputError."""
     geometry = config.plugin("geometry")
-    config.plugin("flow").check(geometry, config.operation.speed)
+    require_vessel(config.geometry["name"], geometry)
     fill_volume(config)
-    centre = config.operation.loading.centre
+    loading = config.operation.loading
+    if loading.direction == "z" and geometry.dimension == 2:
+        raise InputError(
+            f"operation.loading.pattern = {loading.pattern!r}: layers along z need a vessel in "
+            f"3-D, and the geometry {config.geometry['name']!r} is a cross-section as it is set"
+        )
+    if loading.file is not None:
+        read_loading(loading.file, geometry.dimension)
+    centre = loading.centre
     if centre is not None and len(centre) != geometry.dimension:
         raise InputError(
             f"operation.loading.centre = {list(centre)}: the geometry {config.geometry['name']!r} "
@@ -174,6 +196,7 @@ def _check_together(config: RunConfig) -> None:
             f"blend curve are more than {_MOST_POINTS:g}"
         )
     spacing, cells = grid_spacing(config), 1.0
+    require_resolved(geometry, spacing)
     for low, high in zip(geometry.lower, geometry.upper, strict=True):
         cells *= (high - low) / spacing
     if cells > _MOST_CELLS:
@@ -308,7 +331,8 @@ def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
         rule = first["msg"].removeprefix("Value error, ")
         rule = rule[:1].lower() + rule[1:]
     value = first["input"]
-    shown = f" = {value!r}" if not isinstance(value, Mapping) or len(value) <= 3 else ""
+    tell = first["type"] != "missing" and (not isinstance(value, Mapping) or len(value) <= 3)
+    shown = f" = {value!r}" if tell else ""
     more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
     return f"{key.rstrip('.')}{shown}: {rule}{more}"
 

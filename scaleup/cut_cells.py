@@ -10,6 +10,7 @@ from __future__ import annotations
 from itertools import permutations, product
 
 import numpy as np
+from scipy.optimize import brentq
 
 from scaleup.errors import InputError
 from scaleup.grid import FloatArray, Grid
@@ -61,17 +62,15 @@ def fill_to_volume(
         whole: FloatArray = cut_fraction(np.minimum(bed + shift, vessel)) * grid.cell_volume
         return whole
 
-    low, high = -float(bed.max()), -float(bed.min())
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if fill(middle).sum() < volume:
-            low = middle
-        else:
-            high = middle
-        if high - low <= 4e-16 * max(abs(low), abs(high)):
-            break
+    high = -float(bed.min())
+    if fill(high).sum() > volume:
+        low = -float(bed.max())
+        last_float = 4e-16 * max(abs(low), abs(high))
+        high = brentq(
+            lambda shift: fill(shift).sum() - volume, low, high, xtol=last_float, rtol=1e-15
+        )
     result = fill(high)
-    # The bisection ends at neighbouring floats; what is left is a rounding of the sum.
+    # The root is known to its last digits; what is left is a rounding of the sum.
     return np.minimum(result * (volume / result.sum()), grid.cell_volume), high
 
 
@@ -106,9 +105,10 @@ def _positive_share(values: FloatArray) -> FloatArray:
 
     def corner(i: int) -> FloatArray:
         share = np.ones(v.shape[1])
-        for j in range(n_vertices):
-            if j != i:
-                share *= v[i] / np.where(v[i] == v[j], tiny, v[i] - v[j])
+        with np.errstate(over="ignore"):  # where v[i] == v[j] the share is not used
+            for j in range(n_vertices):
+                if j != i:
+                    share *= v[i] / np.where(v[i] == v[j], tiny, v[i] - v[j])
         return share
 
     share = np.where(positive == n_vertices, 1.0, 0.0)

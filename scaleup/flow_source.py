@@ -39,7 +39,11 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     flow_plugin = registry.load("flow", config.flow["name"])
     geometry_plugin = registry.load("geometry", config.geometry["name"])
     scene_inputs = {
-        "geometry": {"name": config.geometry["name"], **_dump(config.options("geometry"))},
+        "geometry": {
+            "name": config.geometry["name"],
+            **_dump(config.options("geometry")),
+            "fingerprint": getattr(config.plugin("geometry"), "fingerprint", ""),
+        },
         "material": _dump(config.material),
         "speed": config.operation.speed,
         "fill_volume": fill_volume(config),

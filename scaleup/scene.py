@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FilePath, field_validator, model_validator
 
 from scaleup import units
 
@@ -83,39 +84,87 @@ class Fill(Model):
         return self
 
 
-class Loading(Model):
-    """How the components lie in the settled level bed before the vessel turns."""
+Pattern = Literal["side-by-side", "front-back", "top-bottom", "layered", "region", "file"]
+Direction = Literal["x", "y", "z"]
+_LAYERS: dict[str, Direction] = {"side-by-side": "x", "front-back": "z", "top-bottom": "y"}
 
-    pattern: Literal["side-by-side", "top-bottom", "region"] = "side-by-side"
-    """layers side by side or on top of each other, or a disc or ball in the rest"""
+
+class Loading(Model):
+    """How the components lie in the settled level bed before the vessel turns.
+
+    The vessel is seen along its axis of rotation: x to the right, y up, z (the axis) towards the
+    viewer. Layers are counted from left to right, from front to back (from one end of the axis to
+    the other) and from top to bottom.
+    """
+
+    pattern: Pattern = "side-by-side"
+    """"side-by-side" along x, "front-back" along z (the axis: what is called left-right of a
+    V-blender), "top-bottom" along y: one component a layer; "layered": components in any order;
+    "region": a disc or ball of one component in the rest; "file": as measured or computed"""
     shares: tuple[Share, ...] | None = None
-    """volume shares of the components, from left to right or top to bottom; default halves"""
+    """of the bed's volume, layer by layer; default halves, for "layered" thirds"""
+    along: Direction | None = None
+    """for "layered": the direction across the layers; default "y" (on top of each other)"""
+    order: tuple[Annotated[int, Field(ge=1, le=20)], ...] | None = None
+    """for "layered": the number of each layer's component; default 1, 2, 1, 2, ..."""
     centre: tuple[units.Coordinate, ...] | None = None
-    """of the region, m (x, y or x, y, z)"""
+    """of the region, m (x, y or x, y, z), from the axis of rotation"""
     radius: units.Length | None = None
     """of the region, m"""
+    file: FilePath | None = None
+    """for "file": CSV with columns x, y, z (m, from the axis, in the vessel at rest) and one for
+    each component's concentration; a results.h5 (its last state); or what meshio reads, with
+    fields named concentration_1, ... Each cell takes the nearest point's"""
+
+    @field_validator("file")
+    @classmethod
+    def _found_from_anywhere(cls, file: Path | None) -> Path | None:
+        return None if file is None else file.resolve()
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        if self.pattern == "region" and (self.centre is None or self.radius is None):
-            raise ValueError("the pattern 'region' needs centre and radius")
-        if self.pattern != "region" and (self.centre is not None or self.radius is not None):
-            raise ValueError(f"the pattern {self.pattern!r} takes no centre and no radius")
-        if self.pattern == "region" and self.shares is not None:
-            raise ValueError("the pattern 'region' takes no shares; its radius sets them")
+        kinds = {
+            "layered": ("along", "order"),
+            "region": ("centre", "radius"),
+            "file": ("file",),
+        }
+        for kind, keys in kinds.items():
+            given = [key for key in keys if getattr(self, key) is not None]
+            if self.pattern != kind and given:
+                raise ValueError(f"the pattern {self.pattern!r} takes no {' and no '.join(keys)}")
+            if self.pattern == kind != "layered" and len(given) < len(keys):
+                raise ValueError(f"the pattern {kind!r} needs {' and '.join(keys)}")
+        if self.pattern in ("region", "file") and self.shares is not None:
+            raise ValueError(f"the pattern {self.pattern!r} takes no shares; it sets them itself")
         if len(self.layers) < 2 or abs(sum(self.layers) - 1.0) > 1e-9:
             raise ValueError("shares must be two or more numbers that sum to 1")
+        numbers = set(self.layer_components)
+        if len(self.layer_components) != len(self.layers) or numbers != set(
+            range(1, max(numbers) + 1)
+        ):
+            raise ValueError(
+                f"order must hold one number for each of the {len(self.layers)} shares, and every "
+                "number from 1 to the greatest"
+            )
         return self
+
+    @property
+    def direction(self) -> Direction | None:
+        """Across the layers, if the pattern has any."""
+        return self.along or "y" if self.pattern == "layered" else _LAYERS.get(self.pattern)
 
     @property
     def layers(self) -> tuple[float, ...]:
         """Volume shares of the layers."""
-        return self.shares or (0.5, 0.5)
+        count = 2 if self.pattern != "layered" else len(self.order or (1, 2, 1))
+        return self.shares or (1 / count,) * count
 
     @property
-    def components(self) -> int:
-        """Number of ingredients; a region has two, the one inside first."""
-        return 2 if self.pattern == "region" else len(self.layers)
+    def layer_components(self) -> tuple[int, ...]:
+        """Number of each layer's component, from 1."""
+        if self.pattern == "layered":
+            return self.order or tuple(1 + k % 2 for k in range(len(self.layers)))
+        return tuple(range(1, len(self.layers) + 1))
 
 
 class Operation(Model):

@@ -29,6 +29,7 @@ from scaleup.grid import FloatArray, Grid
 
 FORMAT_VERSION = 1
 _FLOW_MODULES = (
+    "closed_surface",
     "cut_cells",
     "flow_field",
     "grid",

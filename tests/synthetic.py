@@ -6,7 +6,15 @@ import math
 
 import numpy as np
 
-from scaleup.api import Axis, FlowField, Grid, Interval, interval_from_dense
+from scaleup.api import (
+    Axis,
+    FlowField,
+    Grid,
+    Interval,
+    fill_to_volume,
+    grid_over,
+    interval_from_dense,
+)
 
 
 def sloshing(intervals: int = 8, columns: int = 16, rows: int = 6, prefix: int = 0) -> FlowField:
@@ -49,6 +57,22 @@ def sloshing(intervals: int = 8, columns: int = 16, rows: int = 6, prefix: int =
         )
         fill = after
     return FlowField(grid, "vessel", Axis(), 1.0, parts, prefix=prefix)
+
+
+def settled(geometry, volume: float, spacing: float) -> FlowField:
+    """A level bed of a volume (m^3) at rest in a vessel, on cells of the given edge (m)."""
+    grid = grid_over(geometry.lower, geometry.upper, spacing, geometry.depth)
+    corners = grid.corner_points()
+    wall = geometry.signed_distance(corners)
+    fill, _ = fill_to_volume(grid, -corners[..., 1], wall, volume)
+    still = []
+    for axis in range(grid.dimension):
+        shape = list(grid.shape)
+        shape[grid.array_axis(axis)] += 1
+        still.append(np.zeros(shape))
+    nowhere = np.zeros((grid.dimension, *grid.shape))
+    part = interval_from_dense(0.0, 1.0, grid, fill, fill, still, np.zeros(grid.shape), nowhere)
+    return FlowField(grid, "vessel", geometry.axis, 1.0, [part])
 
 
 def donor_cell(flow: FlowField, interval: Interval, content: np.ndarray) -> np.ndarray:
