@@ -8,7 +8,10 @@ angles t_i per cell is, exactly,
 
 Sufficient for |g| <= 1 (no false 'stable') is
 
-    (sum_i |nu_i|^(2/3))^3 + 2 sum_i mu_ii <= 1.
+    (sum_i |nu_i|^(2/3))^3 + 2 f sum_i mu_ii <= 1,
+
+with f = 1 in 2-D. In 3-D f = 9/8: a tensor along (1, 1, 1) with mu_ij = m has A = 6 m (1 - cos t +
+sin^2 t) for the wave t = t_x = t_y = t_z, 13.5 m at most, and A must not exceed 2.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from scaleup.api import FloatArray
 def stability_number(nu: FloatArray, mu: FloatArray) -> FloatArray:
     """Left side of the sufficient condition, stable where <= 1; nu (d, ...), mu (d, d, ...)."""
     advective: FloatArray = (np.abs(nu) ** (2 / 3)).sum(axis=0) ** 3
-    return advective + 2 * sum(mu[i, i] for i in range(len(nu)))
+    return advective + _spreading(mu)
 
 
 def amplification(nu: FloatArray, mu: FloatArray, theta: FloatArray) -> FloatArray:
@@ -39,10 +42,17 @@ def amplification(nu: FloatArray, mu: FloatArray, theta: FloatArray) -> FloatArr
 def largest_step(nu: FloatArray, mu: FloatArray) -> float:
     """Largest dt (s) within the sufficient condition; nu (d, n) and mu (d, d, n) are those of 1 s.
 
-    The condition is a dt^2 + b dt <= 1 with a = (sum |nu|^(2/3))^3, b = 2 sum mu_ii. Infinite if
+    The condition is a dt^2 + b dt <= 1 with a = (sum |nu|^(2/3))^3, b = 2 f sum mu_ii. Infinite if
     nothing moves.
     """
-    b = 2 * np.array([mu[i, i] for i in range(len(nu))]).sum(axis=0)
+    b = _spreading(mu)
     a = stability_number(nu, mu) - b
     slowest = (b + np.sqrt(b**2 + 4 * a)).max(initial=0.0)
     return float(2.0 / slowest) if slowest > 0 else np.inf
+
+
+def _spreading(mu: FloatArray) -> FloatArray:
+    """2 f sum mu_ii."""
+    dimension = len(mu)
+    trace: FloatArray = np.array([mu[i, i] for i in range(dimension)]).sum(axis=0)
+    return 2 * (9 / 8 if dimension == 3 else 1.0) * trace

@@ -11,14 +11,12 @@ from scaleup.blending import mix
 from scaleup.config import compose, fill_volume
 from scaleup.decomposition import Decomposition
 from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.errors import RunError
 from scaleup.flow_source import obtain_flow
 from scaleup.scene import Diffusion
 from scaleup.testing import check_flow, check_mixing
 from scaleup.verification import Result, fitted_order, problems, run
 from scaleup.verification.deformations import vortex_flow
 from scaleup_lax_wendroff import LaxWendroff
-from scaleup_lax_wendroff.stability import amplification, stability_number
 from synthetic import sloshing
 
 FAST = {"flow": {"name": "surface-layer"}}
@@ -26,7 +24,7 @@ FAST = {"flow": {"name": "surface-layer"}}
 
 def scene_of(flow: FlowField, k1: float = 0.0, grain: float = 1e-3) -> MixingScene:
     active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
-    split = Decomposition(flow.grid, active, MPI.COMM_SELF, halo=2)
+    split = Decomposition(flow.grid, active, MPI.COMM_SELF, halo=8)
     law = Diffusion(k1=k1)
     tensor = partial(_tensor, flow, law, grain)
     return MixingScene(flow, law, grain, split, tensor)
@@ -75,50 +73,6 @@ def test_paper_form_of_solid_rotation_loses_mass_as_its_missing_term_says():
     assert np.log(mass) == pytest.approx(-(omega**2) * dt * time, rel=0.1)
 
 
-def test_the_sufficient_condition_has_no_false_stable():
-    rng = np.random.default_rng(3)
-    n = 20_000
-    angle = rng.uniform(0, 2 * np.pi, n)
-    nu = rng.uniform(0, 1.2, n) * np.stack([np.cos(angle), np.sin(angle)])
-    across = rng.uniform(0, 2 * np.pi, n)
-    big, small = rng.uniform(0, 0.5, n), rng.uniform(0, 1, n)
-    t = np.stack([np.cos(across), np.sin(across)])
-    mu = big * (small * np.eye(2)[:, :, None] + (1 - small) * t[:, None] * t[None, :])
-    number = stability_number(nu, mu)
-    scale = rng.uniform(0.9, 1.0, n) / np.maximum(number, 1e-12)
-    limited = np.minimum(1.0, scale)  # nu^2 and mu both scaled down to the limit
-    nu, mu = nu * np.sqrt(limited), mu * limited
-    assert stability_number(nu, mu).max() <= 1 + 1e-9
-    waves = np.linspace(-np.pi, np.pi, 61)
-    worst = max(
-        float(amplification(nu, mu, np.array([tx, ty])[:, None]).max())
-        for tx in waves
-        for ty in waves
-    )
-    assert worst <= 1 + 1e-9
-
-
-def test_beyond_the_exact_limit_the_scheme_grows_and_the_run_says_so():
-    flow = vortex_flow(32)
-    c = np.random.default_rng(0).random(len(flow.intervals[0].cells))
-    for factor, grows in ((0.98, False), (2.0, True)):
-        backend = LaxWendroff(LaxWendroff.Options())
-        backend.start(scene_of(flow), np.stack([c, 1 - c]))
-        step = backend.stable_time_step(flow.intervals[0])
-        bed = backend._running._bed
-        weights = bed.weights(factor * step)
-        transport = backend._running
-        ledger = backend.advance(0, 0.0, step)
-        for _ in range(400):
-            transport._step(0, weights, ledger)
-        if grows:
-            with pytest.raises(RunError, match=r"grew to .* reduce mixing\.courant"):
-                transport._look(ledger, 1.0, step)
-        else:
-            transport._look(ledger, 1.0, step)
-            assert ledger.maximum < 2.0
-
-
 def test_diffusion_spreads_a_gaussian_as_the_exact_solution():
     """No flow, uniform anisotropic tensor with D_xy: variances grow by 2 D t."""
     flow = vortex_flow(64)
@@ -144,7 +98,9 @@ def test_diffusion_spreads_a_gaussian_as_the_exact_solution():
         assert grown == pytest.approx(2 * expected * 1e-3 * 2.0, rel=0.01)
 
 
-@pytest.mark.parametrize(("form", "components"), [("corrected", 3), ("paper", 2)])
+@pytest.mark.parametrize(
+    ("form", "components"), [("corrected", 3), ("flux-corrected", 5), ("paper", 2)]
+)
 def test_contract_on_a_moving_fill_and_with_several_components(form, components):
     flow = sloshing(columns=24, rows=12)
     rng = np.random.default_rng(1)
@@ -191,23 +147,12 @@ def test_the_parabolic_layer_is_the_published_velocity_field(store):
 def test_blending_the_drum_converges_and_conserves(store):
     curves = {}
     for spacing in ("2 mm", "1 mm", "0.5 mm"):
-        config = compose(None, [f"grid.spacing='{spacing}'", "operation.revolutions=1"], FAST)
+        asked = [f"grid.spacing='{spacing}'", "operation.revolutions=1", "mixing.name=lax-wendroff"]
+        config = compose(None, asked, FAST)
         blend = mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
-        assert blend.mass_drift < 3e-3
+        assert blend.mass_drift < 1e-12
         curves[spacing] = np.array(blend.intensity)
     coarse, middle, fine = curves.values()
     assert np.abs(middle - fine).max() < 0.6 * np.abs(coarse - fine).max()
     assert curves["0.5 mm"][0] > 0.99
     assert fine[-1] < 0.6
-
-
-def test_mass_is_kept_to_what_implicitly_stepped_cut_cells_hold(store):
-    """Five times as long does not lose five times as much."""
-    drift = []
-    for revolutions in (1, 5):
-        config = compose(
-            None, ["grid.spacing='1 mm'", f"operation.revolutions={revolutions}"], FAST
-        )
-        flow = obtain_flow(config, MPI.COMM_SELF).flow
-        drift.append(mix(config, flow, MPI.COMM_SELF).mass_drift)
-    assert drift[1] < 1.5 * drift[0]
