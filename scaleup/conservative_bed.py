@@ -14,7 +14,6 @@ updated in groups (`merged_cells`), so that none of them limits the step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -41,9 +40,11 @@ class LocalGroups:
     first   -- where each group starts in `members`, (groups + 1,)
     start, rate -- of the fill fraction of each whole group, on any rank: its value at the
                interval's start and its change per second, (groups,)
-    shared, slot -- groups with members on other ranks too, and their places among all such
-               groups of the bed
-    total_shared -- number of all such groups of the bed
+    shared   -- groups with members on other ranks too
+    mine, slot -- this rank's members of those (positions in `members`), and their places in the
+               list of all members of all such groups of the bed
+    run      -- where the members of each of `shared` start and stop in that list, (shared, 2)
+    listed   -- length of that list
     interval_start -- s
     """
 
@@ -52,8 +53,10 @@ class LocalGroups:
     start: FloatArray
     rate: FloatArray
     shared: IntArray
+    mine: IntArray
     slot: IntArray
-    total_shared: int
+    run: IntArray
+    listed: int
     interval_start: float
 
     def fraction(self, time: float) -> FloatArray:
@@ -168,17 +171,22 @@ class ConservativeBed:
         owned = self._placing.mine[groups.members]
         here = np.bincount(number[owned], minlength=count)
         partly = (here > 0) & (here < np.diff(groups.first))
-        shared_anywhere = np.flatnonzero(self.split.totals(partly.astype(float)))
+        straddles = self.split.totals(partly.astype(float)) > 0
         present = np.flatnonzero(here > 0)
-        shared = np.flatnonzero(np.isin(present, shared_anywhere))
+        slots = np.cumsum(straddles[number]) - 1  # of every member of the bed
+        starts = np.concatenate([[0], np.cumsum(np.where(straddles, np.diff(groups.first), 0))])
+        shared = np.flatnonzero(straddles[present])
+        in_shared = straddles[number[owned]]
         return LocalGroups(
             members=self._placing.place[groups.members[owned]],
             first=np.concatenate([[0], np.cumsum(here[present])]),
             start=start[present].astype(float),
             rate=rate[present] / self.interval.duration,
             shared=shared,
-            slot=np.searchsorted(shared_anywhere, present[shared]),
-            total_shared=len(shared_anywhere),
+            mine=np.flatnonzero(in_shared),
+            slot=slots[owned][in_shared],
+            run=np.stack([starts[present[shared]], starts[present[shared] + 1]], axis=1),
+            listed=int(starts[-1]),
             interval_start=self.interval.start,
         )
 
@@ -210,11 +218,8 @@ class ConservativeBed:
         fraction[self.owned] = self.fraction_at(time)[mine]
         weight = fraction[groups.members]
         number = np.repeat(np.arange(len(groups.start)), np.diff(groups.first))
-        sums = [
-            np.bincount(number, weights=weight * row, minlength=len(groups.start)).astype(float)
-            for row in (np.ones(len(weight)), *values[:, groups.members])
-        ]
-        share_sums(self.split, groups, sums)
+        held_by_member = np.stack([weight, *(weight * row[groups.members] for row in values)])
+        sums = sums_over_groups(self.split, groups, held_by_member)
         held = sums[0] > _ROUND_OFF
         for row, content in zip(values, sums[1:], strict=True):
             mean = np.divide(content, sums[0], out=np.zeros_like(content), where=held)
@@ -252,16 +257,20 @@ class ConservativeBed:
         return np.asarray((1.0 - share) * self._start + share * self._end)
 
 
-def share_sums(split: Decomposition, groups: LocalGroups, sums: Sequence[FloatArray]) -> None:
-    """Complete per-group sums of groups that straddle ranks, in place (collective)."""
-    if groups.total_shared == 0:
-        return
-    buffer = np.zeros((len(sums), groups.total_shared))
-    for row, values in zip(buffer, sums, strict=True):
-        row[groups.slot] = values[groups.shared]
-    buffer = split.totals(buffer)
-    for row, values in zip(buffer, sums, strict=True):
-        values[groups.shared] = row[groups.slot]
+def sums_over_groups(split: Decomposition, groups: LocalGroups, values: FloatArray) -> FloatArray:
+    """Sums over groups, (rows, groups), of values at owned members, (rows, members); collective.
+
+    Members are added in the same order whoever owns them: the sums do not depend on the ranks, to
+    the last bit.
+    """
+    sums: FloatArray = kernels.sums_of_runs(values, groups.first)
+    if groups.listed > 0:
+        every = np.zeros((len(values), groups.listed))
+        every[:, groups.slot] = values[:, groups.mine]
+        every = split.totals(every)
+        for group, (start, stop) in zip(groups.shared, groups.run, strict=True):
+            sums[:, group] = kernels.sums_of_runs(every, np.array([start, stop]))[:, 0]
+    return sums
 
 
 @numba.njit(cache=True)

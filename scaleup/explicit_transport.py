@@ -96,7 +96,7 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
             self.carry_over(before)
             self._begin()
         stable = self.bed.stable_step
-        count, dt = self._guard.steps(start, end, stable)
+        count, dt = self._guard.steps(start, end, stable, self._longest)
         updates = count * self.bed.updates * self.moved
         ledger = Ledger(steps=count, cell_updates=updates, step_share=dt / stable)
         done = 0
@@ -137,9 +137,10 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
         flow = self.scene.flow
         self._index, interval = index, flow.intervals[index]
         self.bed: AnyBed = self.make_bed(interval)
-        lasts_for_ever = flow.steady and index == flow.prefix
-        longest = np.inf if lasts_for_ever else interval.duration
-        self.bed.settle(min(longest, self.bed.stable_step))
+        self._longest = np.inf
+        if not (flow.steady and index == flow.prefix):  # that one lasts for ever
+            self._longest = self._guard.steps(interval.start, interval.end, self.bed.stable_step)[1]
+        self.bed.settle(min(self._longest, self.bed.stable_step))
         self._now = interval.start
 
     def _begin(self) -> None:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scaleup import flux_kernels as kernels
-from scaleup.conservative_bed import ConservativeBed, share_sums
+from scaleup.conservative_bed import ConservativeBed, sums_over_groups
 from scaleup.grid import FloatArray
 
 if TYPE_CHECKING:
@@ -90,9 +90,14 @@ class FluxCorrection:
                 fluxes[k], c[k], bed.flux, bed.spread, end - start, bed.face_runs, strides
             )
         before, after = groups.fraction(start), groups.fraction(end)
-        added = kernels.group_losses(fluxes, groups.members, groups.first, strides)
-        outgoing = kernels.group_outgoing(fluxes, groups.members, groups.first, strides)
-        share_sums(self._split, groups, [*added, *outgoing])
+        both = np.concatenate(
+            [
+                kernels.member_losses(fluxes, groups.members, strides),
+                kernels.member_outgoing(fluxes, groups.members, strides),
+            ]
+        )
+        sums = sums_over_groups(self._split, groups, both)
+        added, outgoing = sums[:m], sums[m:]
         kernels.low_order_content(
             content, c, fluxes, lost - added, before, after, bed.runs, groups.members,
             groups.first, strides,
@@ -110,9 +115,8 @@ class FluxCorrection:
     def _lost(self, fluxes: FloatArray) -> FloatArray:
         """What leaves each group, on whichever ranks it lies (collective)."""
         groups = self._bed.groups
-        lost: FloatArray = kernels.group_losses(fluxes, groups.members, groups.first, self._strides)
-        share_sums(self._split, groups, list(lost))
-        return lost
+        lost = kernels.member_losses(fluxes, groups.members, self._strides)
+        return sums_over_groups(self._split, groups, lost)
 
     def _find_shares(self, fluxes: FloatArray, outgoing: FloatArray) -> None:
         """Step 3, on this rank's own cells, and then in the ghosts."""

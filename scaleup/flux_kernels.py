@@ -2,7 +2,7 @@
 
 `s` holds the strides along the axes, 0 for a third that is not there. In runs the loops work on
 views that start at 0: no index can be negative, so that the inner loops are vectorised. Groups come
-as (members, first) of `LocalGroups`; their sums are completed between ranks by the caller.
+as (members, first) of `LocalGroups`; sums over them may need other ranks and are the caller's.
 """
 
 from __future__ import annotations
@@ -45,13 +45,23 @@ def update_regular(
 
 
 @numba.njit(cache=True)
-def group_losses(flux: FloatArray, members: IntArray, first: IntArray, s: Strides) -> FloatArray:
-    """Sum of div(flux) over the owned members of each group, for each component; (m, groups)."""
-    total = np.zeros((flux.shape[0], len(first) - 1))
+def member_losses(flux: FloatArray, members: IntArray, s: Strides) -> FloatArray:
+    """div(flux) of each member of a group, for each component; (m, members)."""
+    lost = np.empty((flux.shape[0], len(members)))
     for m in range(flux.shape[0]):
+        for i in range(len(members)):
+            lost[m, i] = loss(flux[m], members[i], s)
+    return lost
+
+
+@numba.njit(cache=True)
+def sums_of_runs(values: FloatArray, first: IntArray) -> FloatArray:
+    """Sum over each run first[g] .. first[g + 1] of the columns, from left to right."""
+    total = np.zeros((values.shape[0], len(first) - 1))
+    for row in range(values.shape[0]):
         for g in range(len(first) - 1):
             for i in range(first[g], first[g + 1]):
-                total[m, g] += loss(flux[m], members[i], s)
+                total[row, g] += values[row, i]
     return total
 
 
@@ -144,21 +154,20 @@ def subtract_low_order(
 
 
 @numba.njit(cache=True)
-def group_outgoing(flux: FloatArray, members: IntArray, first: IntArray, s: Strides) -> FloatArray:
-    """What A takes out of each group, (m + 1, groups), for each component and for the last."""
+def member_outgoing(flux: FloatArray, members: IntArray, s: Strides) -> FloatArray:
+    """What A takes out of each member of a group, (m + 1, members), the last component's too."""
     count = flux.shape[0]
-    total = np.zeros((count + 1, len(first) - 1))
-    for g in range(len(first) - 1):
-        for i in range(first[g], first[g + 1]):
-            k = members[i]
-            for axis in range(flux.shape[1]):
-                rest_low, rest_high = 0.0, 0.0
-                for m in range(count):
-                    low, high = flux[m, axis, k], flux[m, axis, k + s[axis]]
-                    total[m, g] += max(high, 0.0) + max(-low, 0.0)
-                    rest_low -= low
-                    rest_high -= high
-                total[count, g] += max(rest_high, 0.0) + max(-rest_low, 0.0)
+    total = np.zeros((count + 1, len(members)))
+    for i in range(len(members)):
+        k = members[i]
+        for axis in range(flux.shape[1]):
+            rest_low, rest_high = 0.0, 0.0
+            for m in range(count):
+                low, high = flux[m, axis, k], flux[m, axis, k + s[axis]]
+                total[m, i] += max(high, 0.0) + max(-low, 0.0)
+                rest_low -= low
+                rest_high -= high
+            total[count, i] += max(rest_high, 0.0) + max(-rest_low, 0.0)
     return total
 
 

@@ -33,22 +33,23 @@ class StepGuard:
     overshoot: float
     force: bool
 
-    def steps(self, start: float, end: float, stable: float) -> tuple[int, float]:
+    def steps(
+        self, start: float, end: float, stable: float, longest: float = math.inf
+    ) -> tuple[int, float]:
         """(number, length in s) of equal steps from start to end, s.
 
-        stable -- s, the scheme's limit on this interval of the flow
+        stable  -- s, the scheme's limit on this interval of the flow
+        longest -- s, no step may be longer, whatever is stable
         Raises RunError if `time_step` is beyond it, unless forced.
         """
-        if self.time_step is None:
-            wanted = self.courant * stable
-        else:
-            wanted = self.time_step
-            if wanted > stable * (1 + 1e-9) and not self.force:
-                raise RunError(
-                    f"mixing.time_step = {wanted:.4g} s: the limit of stability from t = "
-                    f"{start:.4g} s on is {stable:.4g} s; take a smaller step, or --force it"
-                )
-        count = max(1, math.ceil((end - start) / wanted - 1e-9))
+        wanted = self.time_step
+        if wanted is not None and wanted > stable * (1 + 1e-9) and not self.force:
+            raise RunError(
+                f"mixing.time_step = {wanted:.4g} s: the limit of stability from t = "
+                f"{start:.4g} s on is {stable:.4g} s; take a smaller step, or --force it"
+            )
+        longest = min(longest, self.courant * stable if wanted is None else wanted)
+        count = max(1, math.ceil((end - start) / longest - 1e-9))
         return count, (end - start) / count
 
     def judge(

@@ -46,7 +46,7 @@ from scaleup.blending import mix
 from scaleup.flow_source import obtain_flow
 from scaleup.storage import Results
 
-config = compose(None, ["grid.spacing='1 mm'", "operation.revolutions=0.5", *sys.argv[2:]],
+config = compose(None, ["grid.spacing='1 mm'", "operation.revolutions=0.15", *sys.argv[2:]],
                  {"flow": {"name": "surface-layer"}})
 from pathlib import Path
 outcome = obtain_flow(config, comm)
