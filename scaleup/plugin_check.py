@@ -121,7 +121,7 @@ def _mix_small(plugin: Any, options: Any, flow: FlowField, comm: Any) -> None:
         flow=flow,
         diffusion=law,
         grain_diameter=_GRAIN,
-        decomposition=Decomposition(flow.grid, first.cells, comm, halo=2),
+        decomposition=Decomposition(flow.grid, first.cells, comm, halo=plugin.halo),
         tensor=lambda part: diffusion_tensor(flow, part, law, _GRAIN),
     )
     left = flow.grid.centre_points(first.cells)[:, 0] < flow.grid.centres(0).mean()

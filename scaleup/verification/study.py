@@ -22,7 +22,6 @@ State = tuple[Interval, float, FloatArray]
 """an interval, a time in it (s) and the concentrations on its cells then"""
 _SHORT = 0.2  # s: shorter runs are timed again
 _REPEATS = 3
-_HALO = 2  # ghost layers for a backend that does not say how many it reads
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class Result:
 def scene_of(problem: Problem, flow: FlowField, backend: Any, comm: Any) -> MixingScene:
     """A problem's flow and tensor as a backend wants them."""
     active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
-    split = Decomposition(flow.grid, active, comm, halo=getattr(backend, "halo", _HALO))
+    split = Decomposition(flow.grid, active, comm, halo=backend.halo)
     return MixingScene(flow, Diffusion(), 1e-3, split, partial(problem.tensor, flow))
 
 
