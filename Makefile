@@ -27,7 +27,7 @@ tables: setup
 	$(BIN)/python tools/verification_tables.py
 
 bench: setup
-	$(BIN)/python benchmarks/lax_wendroff_speed.py
+	$(BIN)/python benchmarks/mixing_speed.py
 
 lint: setup
 	$(BIN)/ruff check .

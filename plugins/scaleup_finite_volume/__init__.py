@@ -28,6 +28,7 @@ class FiniteVolume:
         """s, in place of a share of the stable step; beyond that only with --force"""
 
     halo: ClassVar[int] = 3
+    order: ClassVar[float] = 2.0  # with mixed derivatives of a tensor; above 3 without
 
     def __init__(self, options: Options):
         self.options = options
