@@ -22,7 +22,7 @@ from scaleup.closed_surface import ClosedSurface
 from scaleup.conservative_bed import ConservativeBed, runs_of
 from scaleup.cut_cells import cut_fraction, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
-from scaleup.explicit_transport import ExplicitTransport
+from scaleup.explicit_transport import ExplicitBackend, ExplicitTransport
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
 from scaleup.flux_correction import FluxCorrection
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
@@ -45,6 +45,7 @@ __all__ = [
     "ConservativeBed",
     "ContractError",
     "Diffusion",
+    "ExplicitBackend",
     "ExplicitTransport",
     "FloatArray",
     "Flow",

@@ -8,7 +8,7 @@ loss of content, equal steps within the stable one, and a look at the values eve
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -155,3 +155,40 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
         mine, where = self.split.owned_cells(known)
         place = np.ravel_multi_index(where, self.split.local_shape)
         return known, self.split.gather(known, self.field.flat[:, place], mine)
+
+
+class ExplicitBackend(ABC):
+    """A `Mixing` whose work an `ExplicitTransport` does; `Options` and `halo` are the plugin's."""
+
+    def __init__(self, options: Any):
+        self.options = options
+        self._transport: ExplicitTransport[Any] | None = None
+
+    @abstractmethod
+    def transport(
+        self, scene: MixingScene, concentration: FloatArray, index: int
+    ) -> ExplicitTransport[Any]:
+        """A transport on a scene, on interval `index`; where heavy modules are imported."""
+
+    def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
+        """Begin on interval `index` from concentrations (components, n) on its cells."""
+        self._transport = self.transport(scene, concentration, index)
+
+    @property
+    def running(self) -> ExplicitTransport[Any]:
+        """What `start` began. Raises RuntimeError before it."""
+        if self._transport is None:
+            raise RuntimeError("start() comes first")
+        return self._transport
+
+    def stable_time_step(self, interval: Interval) -> float:
+        """Largest step within the scheme's limit, s (collective)."""
+        return self.running.stable_time_step(interval)
+
+    def advance(self, index: int, start: float, end: float) -> Ledger:
+        """Move on over part of interval `index` in equal steps (collective)."""
+        return self.running.advance(index, start, end)
+
+    def concentration(self, interval: Interval) -> FloatArray:
+        """(components, n) on the interval's cells, on every rank (collective)."""
+        return self.running.concentration(interval)

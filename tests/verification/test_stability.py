@@ -117,7 +117,7 @@ def test_a_step_beyond_the_limit_is_refused_and_growth_is_caught_within_100_step
     step = 2.5 * limit
     backend = make(scheme)(step)
     backend.start(careful, start)
-    transport = backend._running
+    transport = backend.running
     transport.bed.stable_step = 1.01 * step
     with pytest.raises(RunError, match=r"(x = .* m.* reduce mixing\.time_step|the scheme grows)"):
         backend.advance(0, 0.0, 100 * step)
