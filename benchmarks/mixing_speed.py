@@ -52,7 +52,7 @@ if comm.rank == 0:
 """
 
 LAX_WENDROFF = ["mixing.name=lax-wendroff"]
-FINITE_VOLUME = ["mixing.name=finite-volume", "operation.revolutions=1"]
+FINITE_VOLUME = ["mixing.name=finite-volume", "operation.revolutions=0.5"]
 
 
 @numba.njit(cache=True)

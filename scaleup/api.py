@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from scaleup import units
 from scaleup.closed_surface import ClosedSurface
-from scaleup.conservative_bed import ConservativeBed, runs_of
+from scaleup.conservative_bed import BRIDGE, ConservativeBed, runs_of
 from scaleup.cut_cells import cut_fraction, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
 from scaleup.explicit_transport import ExplicitBackend, ExplicitTransport
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition
 
 __all__ = [
+    "BRIDGE",
     "FULL",
     "GRAVITY",
     "Axis",

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition
 
 _ROUND_OFF = 1e-14  # of a cell's volume
+BRIDGE = 32  # cells: a new run costs about as much as so many
 _LEAST = 1e-3  # fill fraction below which a cell never sets the step
 
 
@@ -64,11 +65,15 @@ class LocalGroups:
         return np.asarray(self.start + (time - self.interval_start) * self.rate)
 
 
-def runs_of(positions: IntArray) -> IntArray:
-    """Contiguous runs [start, stop) of ascending flat positions, shape (m, 2)."""
+def runs_of(positions: IntArray, bridge: int = 0) -> IntArray:
+    """Contiguous runs [start, stop) of ascending flat positions, shape (m, 2).
+
+    bridge -- gaps of up to so many positions are swept too, where that does no harm: a short gap
+              costs less than another run
+    """
     if len(positions) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    breaks = np.flatnonzero(np.diff(positions) != 1)
+    breaks = np.flatnonzero(np.diff(positions) > 1 + bridge)
     starts = positions[np.concatenate([[0], breaks + 1])]
     stops = positions[np.concatenate([breaks, [len(positions) - 1]])] + 1
     return np.stack([starts, stops], axis=1)
@@ -137,9 +142,11 @@ class ConservativeBed:
     def settle(self, dt: float) -> None:
         """Form the groups for steps of at most dt (s); collective, once per interval.
 
-        Sets `merged`, `groups`, `runs` (of owned regular cells that move, (m, 2)) and `face_runs`:
-        runs of positions that hold the lower faces, along every axis, of the owned moving cells
-        and of the cells above those. Closes the faces inside groups.
+        Sets `merged`, `groups`, `runs` (of owned regular cells that move, (m, 2)), `sweeps` (the
+        same with short gaps bridged) and `face_runs`: runs of positions that hold the lower faces,
+        along every axis, of the owned moving cells and of the cells above those, gaps bridged. A
+        bridged cell is at rest, merged, a ghost or empty: an update by face fluxes leaves it as it
+        is, or it is overwritten after. Closes the faces inside groups.
         """
         # what a cell holds when a step begins, at the first and at the last step of the interval
         lost = np.maximum(self._start - self._end, 0.0)
@@ -156,10 +163,11 @@ class ConservativeBed:
         faces[place] = True
         for s in self.strides:
             faces[place + s] = True
-        self.face_runs = runs_of(np.flatnonzero(faces))
+        self.face_runs = runs_of(np.flatnonzero(faces), BRIDGE)
         regular = self.moving & mine
         regular[self.merged.members] = False
         self.runs = runs_of(self._placing.place[regular])
+        self.sweeps = runs_of(self._placing.place[regular], BRIDGE)
 
     def _local_groups(self) -> LocalGroups:
         groups = self.merged

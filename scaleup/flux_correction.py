@@ -67,7 +67,7 @@ class FluxCorrection:
         before, after = groups.fraction(start), groups.fraction(end)
         left = 0.0
         for k in range(len(fluxes)):
-            kernels.update_regular(new[k], c[k], fluxes[k], bed.runs, self._strides)
+            kernels.update_regular(new[k], c[k], fluxes[k], bed.sweeps, self._strides)
             left_of_one = kernels.update_groups(
                 new[k], c[k], lost[k], before, after, groups.members, groups.first
             )
@@ -99,7 +99,7 @@ class FluxCorrection:
         sums = sums_over_groups(self._split, groups, both)
         added, outgoing = sums[:m], sums[m:]
         kernels.low_order_content(
-            content, c, fluxes, lost - added, before, after, bed.runs, groups.members,
+            content, c, fluxes, lost - added, before, after, bed.sweeps, groups.members,
             groups.first, strides,
         )  # fmt: skip
         self._find_shares(fluxes, outgoing)
@@ -107,7 +107,7 @@ class FluxCorrection:
         lost = self._lost(fluxes)
         one = np.ones_like(after)
         for k in range(m):
-            kernels.update_regular(c[k], content[k], fluxes[k], bed.runs, strides)
+            kernels.update_regular(c[k], content[k], fluxes[k], bed.sweeps, strides)
             kernels.update_groups(
                 c[k], content[k], lost[k], one, after, groups.members, groups.first
             )

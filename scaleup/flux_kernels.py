@@ -1,8 +1,9 @@
 """Loops of the conservative updates, compiled; see `flux_correction` for what they compute.
 
 `s` holds the strides along the axes, 0 for a third that is not there. In runs the loops work on
-views that start at 0: no index can be negative, so that the inner loops are vectorised. Groups come
-as (members, first) of `LocalGroups`; sums over them may need other ranks and are the caller's.
+views made once, with unsigned indices: no index can be negative, so that the inner loops are
+vectorised. Groups come as (members, first) of `LocalGroups`; sums over them may need other ranks
+and are the caller's.
 """
 
 from __future__ import annotations
@@ -30,18 +31,16 @@ def update_regular(
     new: FloatArray, c: FloatArray, flux: FloatArray, runs: IntArray, s: Strides
 ) -> None:
     """New = c - div(flux) in the runs; (cells,), (cells,), (dimension, cells)."""
-    for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        out, here = new[a:b], c[a:b]
-        x0, x1 = flux[0, a:b], flux[0, a + s[0] : b + s[0]]
-        y0, y1 = flux[1, a:b], flux[1, a + s[1] : b + s[1]]
-        if s[2] == 0:
-            for k in range(b - a):
-                out[k] = here[k] - (x1[k] - x0[k] + y1[k] - y0[k])
-        else:
-            z0, z1 = flux[2, a:b], flux[2, a + s[2] : b + s[2]]
-            for k in range(b - a):
-                out[k] = here[k] - (x1[k] - x0[k] + y1[k] - y0[k] + z1[k] - z0[k])
+    x0, x1, y0, y1 = flux[0], flux[0, s[0] :], flux[1], flux[1, s[1] :]
+    if s[2] == 0:
+        for r in range(runs.shape[0]):
+            for k in range(numba.uint64(runs[r, 0]), numba.uint64(runs[r, 1])):
+                new[k] = c[k] - (x1[k] - x0[k] + y1[k] - y0[k])
+    else:
+        z0, z1 = flux[2], flux[2, s[2] :]
+        for r in range(runs.shape[0]):
+            for k in range(numba.uint64(runs[r, 0]), numba.uint64(runs[r, 1])):
+                new[k] = c[k] - (x1[k] - x0[k] + y1[k] - y0[k] + z1[k] - z0[k])
 
 
 @numba.njit(cache=True)
@@ -140,12 +139,11 @@ def subtract_low_order(
     s: Strides,
 ) -> None:
     """Step 2: A = F - L with L upwind, in place, for one component."""
-    for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        for axis in range(flux.shape[0]):
-            f, v, g = flux[axis, a:b], speed[axis, a:b], spread[axis, a:b]
-            here, behind = c[a:b], c[a - s[axis] : b - s[axis]]
-            for k in range(b - a):
+    for axis in range(flux.shape[0]):
+        m = s[axis]
+        f, v, g, here, behind = flux[axis, m:], speed[axis, m:], spread[axis, m:], c[m:], c
+        for r in range(runs.shape[0]):
+            for k in range(numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)):
                 f[k] -= dt * (
                     max(v[k], 0.0) * behind[k]
                     + min(v[k], 0.0) * here[k]
@@ -190,17 +188,18 @@ def low_order_content(
     low-order fluxes take out, `lost`.
     """
     count = flux.shape[0]
+    rest = content[count]
     for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        rest = content[count, a:b]
-        rest[:] = 1.0
-        for m in range(count):
-            here = content[m, a:b]
-            for axis in range(flux.shape[1]):
-                low, high = flux[m, axis, a:b], flux[m, axis, a + s[axis] : b + s[axis]]
-                for k in range(b - a):
+        rest[runs[r, 0] : runs[r, 1]] = 1.0
+    for m in range(count):
+        here = content[m]
+        for axis in range(flux.shape[1]):
+            low, high = flux[m, axis], flux[m, axis, s[axis] :]
+            for r in range(runs.shape[0]):
+                for k in range(numba.uint64(runs[r, 0]), numba.uint64(runs[r, 1])):
                     here[k] += high[k] - low[k]
-            for k in range(b - a):
+        for r in range(runs.shape[0]):
+            for k in range(numba.uint64(runs[r, 0]), numba.uint64(runs[r, 1])):
                 rest[k] -= here[k]
     for g in range(len(first) - 1):
         rest_of_group = after[g]
@@ -226,23 +225,22 @@ def shares_of_one(
     s: Strides,
 ) -> None:
     """Step 3 for one component whose antidiffusive flux is sign times `flux`."""
+    x0, x1, y0, y1 = flux[0], flux[0, s[0] :], flux[1], flux[1, s[1] :]
+    z0, z1 = (flux[2], flux[2, s[2] :]) if s[2] != 0 else (flux[0], flux[0])
+    three = s[2] != 0
     for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        here, out = content[a:b], share[a:b]
-        x0, x1 = flux[0, a:b], flux[0, a + s[0] : b + s[0]]
-        y0, y1 = flux[1, a:b], flux[1, a + s[1] : b + s[1]]
-        for k in range(b - a):
-            out[k] = (
+        a, b = numba.uint64(runs[r, 0]), numba.uint64(runs[r, 1])
+        for k in range(a, b):
+            share[k] = (
                 (max(sign * x1[k], 0.0) + max(-sign * x0[k], 0.0))
                 + (max(sign * y1[k], 0.0) + max(-sign * y0[k], 0.0))
                 + EMPTY
             )
-        if s[2] != 0:
-            z0, z1 = flux[2, a:b], flux[2, a + s[2] : b + s[2]]
-            for k in range(b - a):
-                out[k] += max(sign * z1[k], 0.0) + max(-sign * z0[k], 0.0)
-        for k in range(b - a):
-            out[k] = min(1.0, max(here[k], 0.0) / out[k])
+        if three:
+            for k in range(a, b):
+                share[k] += max(sign * z1[k], 0.0) + max(-sign * z0[k], 0.0)
+        for k in range(a, b):
+            share[k] = min(1.0, max(content[k], 0.0) / share[k])
     for g in range(len(first) - 1):
         value = min(1.0, max(content[members[first[g]]], 0.0) / (outgoing[g] + EMPTY))
         for i in range(first[g], first[g + 1]):
@@ -254,13 +252,12 @@ def limit_two(
     flux: FloatArray, share: FloatArray, rest: FloatArray, runs: IntArray, s: Strides
 ) -> None:
     """Step 4 in place where there are two components: (dimension, cells), (cells,), (cells,)."""
-    for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        for axis in range(flux.shape[0]):
-            f = flux[axis, a:b]
-            here, behind = share[a:b], share[a - s[axis] : b - s[axis]]
-            rest_here, rest_behind = rest[a:b], rest[a - s[axis] : b - s[axis]]
-            for k in range(b - a):
+    for axis in range(flux.shape[0]):
+        m = s[axis]
+        f, here, behind = flux[axis, m:], share[m:], share
+        rest_here, rest_behind = rest[m:], rest
+        for r in range(runs.shape[0]):
+            for k in range(numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)):
                 forward = min(behind[k], rest_here[k])
                 backward = min(here[k], rest_behind[k])
                 f[k] *= forward if f[k] > 0.0 else backward
@@ -271,12 +268,11 @@ def cap(
     alpha: FloatArray, flux: FloatArray, sign: float, share: FloatArray, runs: IntArray, s: Strides
 ) -> None:
     """Step 4 for one of many components: alpha = min(alpha, R of the cell that gives)."""
-    for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        for axis in range(flux.shape[0]):
-            f, least = flux[axis, a:b], alpha[axis, a:b]
-            here, behind = share[a:b], share[a - s[axis] : b - s[axis]]
-            for k in range(b - a):
+    for axis in range(flux.shape[0]):
+        m = s[axis]
+        f, least, here, behind = flux[axis, m:], alpha[axis, m:], share[m:], share
+        for r in range(runs.shape[0]):
+            for k in range(numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)):
                 before, after = behind[k], here[k]
                 giver = before if sign * f[k] > 0.0 else after
                 least[k] = giver if giver < least[k] else least[k]

@@ -145,19 +145,19 @@ def _regular(
     runs: IntArray,
     strides: tuple[int, int, int],
 ) -> None:
+    # Views made once that start m before a cell, and unsigned indices: no index can be negative, so
+    # the inner loops are vectorised, and a short run costs little.
     sixtieth, twelfth = dt / 60, dt / 12
-    for r in range(runs.shape[0]):
-        # views that start at 0: no index can be negative, so the inner loops are vectorised
-        a, b = runs[r, 0], runs[r, 1]
-        for axis in range(out.shape[0]):
-            s, t = strides[axis], strides[1 if axis == 0 else 0]
-            f, v, g = out[axis, a:b], flux[axis, a:b], spread[axis, a:b]
-            c0, c1, c2 = c[a - 3 * s : b - 3 * s], c[a - 2 * s : b - 2 * s], c[a - s : b - s]
-            c3, c4, c5 = c[a:b], c[a + s : b + s], c[a + 2 * s : b + 2 * s]
-            x = cross[0, axis, a:b]
-            up, up_behind = c[a + t : b + t], c[a + t - s : b + t - s]
-            down, down_behind = c[a - t : b - t], c[a - t - s : b - t - s]
-            for k in range(b - a):
+    for axis in range(out.shape[0]):
+        s, t = strides[axis], strides[1 if axis == 0 else 0]
+        m = 3 * s + t
+        f, v, g, x = out[axis, m:], flux[axis, m:], spread[axis, m:], cross[0, axis, m:]
+        c0, c1, c2 = c[m - 3 * s :], c[m - 2 * s :], c[m - s :]
+        c3, c4, c5 = c[m:], c[m + s :], c[m + 2 * s :]
+        up, up_behind, down, down_behind = c[m + t :], c[m + t - s :], c[m - t :], c[m - t - s :]
+        for r in range(runs.shape[0]):
+            a, b = numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)
+            for k in range(a, b):
                 near, wide, widest = c3[k] - c2[k], c4[k] - c1[k], c5[k] - c0[k]
                 centred = 37 * (c2[k] + c3[k]) - 8 * (c1[k] + c4[k]) + (c0[k] + c5[k])
                 across = up_behind[k] + up[k] - down_behind[k] - down[k]
@@ -166,12 +166,19 @@ def _regular(
                     - twelfth * g[k] * (15 * near - wide)
                     + dt * x[k] * across
                 )
-            if strides[2] != 0:
-                t = strides[1 if axis == 2 else 2]
-                x = cross[1, axis, a:b]
-                up, up_behind = c[a + t : b + t], c[a + t - s : b + t - s]
-                down, down_behind = c[a - t : b - t], c[a - t - s : b - t - s]
-                for k in range(b - a):
+        if strides[2] != 0:
+            t = strides[1 if axis == 2 else 2]
+            m = s + t
+            f, x = out[axis, m:], cross[1, axis, m:]
+            up, up_behind, down, down_behind = (
+                c[m + t :],
+                c[m + t - s :],
+                c[m - t :],
+                c[m - t - s :],
+            )
+            for r in range(runs.shape[0]):
+                a, b = numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)
+                for k in range(a, b):
                     f[k] += dt * x[k] * (up_behind[k] + up[k] - down_behind[k] - down[k])
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from scaleup.api import BoolArray, FloatArray, IntArray, RunError, runs_of
+from scaleup.api import BRIDGE, BoolArray, FloatArray, IntArray, RunError, runs_of
 from scaleup_lax_wendroff.beds import Bed, PaperBed
 
 _ENDLESS = 10**6  # steps of a rank that has no ghosts
@@ -108,7 +108,11 @@ def plan_rounds(bed: Bed, groups: LocalGroups) -> tuple[list[Round], int]:
             right[bed.targets[copies]] = True
         if not right[wanted_owned].all():
             break
-        rounds.append(Round(runs_of(np.flatnonzero(regular & around)), usable, copies))
+        # all that moves but is not updated in the sweep is overwritten after, or no longer valid;
+        # form "paper" looks at what it swept, so there no gap is bridged
+        bridge = 0 if isinstance(bed, PaperBed) else BRIDGE
+        runs = runs_of(np.flatnonzero(regular & around), bridge)
+        rounds.append(Round(runs, usable, copies))
         steps += 1
         now = right | ~wanted
         if np.array_equal(now, valid):

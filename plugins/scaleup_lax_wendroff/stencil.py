@@ -37,19 +37,25 @@ def step(
         _step_18(c, new, weights, runs, strides)
 
 
+# Views made once that start m before a cell, and unsigned indices: no index can be negative, so
+# the inner loops are vectorised, and a short run costs little.
+
+
 @numba.njit
 def _step_8(
     c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, s: IntArray
 ) -> None:
+    m = -s.min()
+    here, out = c[m:], new[m:]
+    c0, c1, c2 = c[m + s[0] :], c[m + s[1] :], c[m + s[2] :]
+    c3, c4, c5 = c[m + s[3] :], c[m + s[4] :], c[m + s[5] :]
+    c6, c7 = c[m + s[6] :], c[m + s[7] :]
+    w0, w1, w2 = weights[0, m:], weights[1, m:], weights[2, m:]
+    w3, w4, w5 = weights[3, m:], weights[4, m:], weights[5, m:]
+    w6, w7 = weights[6, m:], weights[7, m:]
     for r in range(runs.shape[0]):
-        # views that start at 0: no index can be negative, so the inner loop is vectorised
-        a, b = runs[r, 0], runs[r, 1]
-        here, out = c[a:b], new[a:b]
-        c0, c1, c2, c3 = c[a + s[0] :], c[a + s[1] :], c[a + s[2] :], c[a + s[3] :]
-        c4, c5, c6, c7 = c[a + s[4] :], c[a + s[5] :], c[a + s[6] :], c[a + s[7] :]
-        w0, w1, w2, w3 = weights[0, a:b], weights[1, a:b], weights[2, a:b], weights[3, a:b]
-        w4, w5, w6, w7 = weights[4, a:b], weights[5, a:b], weights[6, a:b], weights[7, a:b]
-        for k in range(b - a):
+        a, b = numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)
+        for k in range(a, b):
             p = here[k]
             out[k] = p + (
                 w0[k] * (c0[k] - p)
@@ -67,16 +73,23 @@ def _step_8(
 def _step_18(
     c: FloatArray, new: FloatArray, weights: FloatArray, runs: IntArray, s: IntArray
 ) -> None:
+    m = -s.min()
+    here, out = c[m:], new[m:]
+    c0, c1, c2 = c[m + s[0] :], c[m + s[1] :], c[m + s[2] :]
+    c3, c4, c5 = c[m + s[3] :], c[m + s[4] :], c[m + s[5] :]
+    c6, c7, c8 = c[m + s[6] :], c[m + s[7] :], c[m + s[8] :]
+    c9, c10, c11 = c[m + s[9] :], c[m + s[10] :], c[m + s[11] :]
+    c12, c13, c14 = c[m + s[12] :], c[m + s[13] :], c[m + s[14] :]
+    c15, c16, c17 = c[m + s[15] :], c[m + s[16] :], c[m + s[17] :]
+    w0, w1, w2 = weights[0, m:], weights[1, m:], weights[2, m:]
+    w3, w4, w5 = weights[3, m:], weights[4, m:], weights[5, m:]
+    w6, w7, w8 = weights[6, m:], weights[7, m:], weights[8, m:]
+    w9, w10, w11 = weights[9, m:], weights[10, m:], weights[11, m:]
+    w12, w13, w14 = weights[12, m:], weights[13, m:], weights[14, m:]
+    w15, w16, w17 = weights[15, m:], weights[16, m:], weights[17, m:]
     for r in range(runs.shape[0]):
-        a, b = runs[r, 0], runs[r, 1]
-        here, out = c[a:b], new[a:b]
-        c0, c1, c2, c3 = c[a + s[0] :], c[a + s[1] :], c[a + s[2] :], c[a + s[3] :]
-        c4, c5, c6, c7 = c[a + s[4] :], c[a + s[5] :], c[a + s[6] :], c[a + s[7] :]
-        c8 = c[a + s[8] :]
-        w0, w1, w2, w3 = weights[0, a:b], weights[1, a:b], weights[2, a:b], weights[3, a:b]
-        w4, w5, w6, w7 = weights[4, a:b], weights[5, a:b], weights[6, a:b], weights[7, a:b]
-        w8 = weights[8, a:b]
-        for k in range(b - a):
+        a, b = numba.uint64(runs[r, 0] - m), numba.uint64(runs[r, 1] - m)
+        for k in range(a, b):
             p = here[k]
             out[k] = p + (
                 w0[k] * (c0[k] - p)
@@ -85,24 +98,22 @@ def _step_18(
                 + w3[k] * (c3[k] - p)
                 + w4[k] * (c4[k] - p)
                 + w5[k] * (c5[k] - p)
-                + w6[k] * (c6[k] - p)
+            )
+        # further sweeps over the run, which is in the cache: fewer streams at a time
+        for k in range(a, b):
+            p = here[k]
+            out[k] = out[k] + (
+                w6[k] * (c6[k] - p)
                 + w7[k] * (c7[k] - p)
                 + w8[k] * (c8[k] - p)
-            )
-        # a second sweep over the run, which is in the cache: fewer streams at a time
-        c9, c10, c11 = c[a + s[9] :], c[a + s[10] :], c[a + s[11] :]
-        c12, c13, c14 = c[a + s[12] :], c[a + s[13] :], c[a + s[14] :]
-        c15, c16, c17 = c[a + s[15] :], c[a + s[16] :], c[a + s[17] :]
-        w9, w10, w11 = weights[9, a:b], weights[10, a:b], weights[11, a:b]
-        w12, w13, w14 = weights[12, a:b], weights[13, a:b], weights[14, a:b]
-        w15, w16, w17 = weights[15, a:b], weights[16, a:b], weights[17, a:b]
-        for k in range(b - a):
-            p = here[k]
-            out[k] += (
-                w9[k] * (c9[k] - p)
+                + w9[k] * (c9[k] - p)
                 + w10[k] * (c10[k] - p)
                 + w11[k] * (c11[k] - p)
-                + w12[k] * (c12[k] - p)
+            )
+        for k in range(a, b):
+            p = here[k]
+            out[k] = out[k] + (
+                w12[k] * (c12[k] - p)
                 + w13[k] * (c13[k] - p)
                 + w14[k] * (c14[k] - p)
                 + w15[k] * (c15[k] - p)
