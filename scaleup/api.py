@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scaleup import units
-from scaleup.cut_cells import cut_fraction, fill_to_volume
+from scaleup.compact_intervals import CompactInterval, CompactIntervals, runs_of_cells
+from scaleup.cut_cells import cut_fraction, cut_fraction_of_cells, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
@@ -37,6 +38,8 @@ __all__ = [
     "GRAVITY",
     "Axis",
     "BoolArray",
+    "CompactInterval",
+    "CompactIntervals",
     "ContractError",
     "Diffusion",
     "FloatArray",
@@ -58,6 +61,7 @@ __all__ = [
     "RunError",
     "Scene",
     "cut_fraction",
+    "cut_fraction_of_cells",
     "fill_to_volume",
     "fit_stream_function",
     "flow_from_stream_function",
@@ -66,6 +70,7 @@ __all__ = [
     "interval_from_dense",
     "level_height",
     "require_drum",
+    "runs_of_cells",
     "spread_outwards",
     "units",
 ]

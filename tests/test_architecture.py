@@ -11,9 +11,10 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FLOORS = [
     {"errors", "files", "__init__"},
     {"grid", "units", "launch"},
-    {"spread", "cut_cells"},
+    {"spread", "cut_kernel"},
+    {"cut_cells"},
     {"flow_field", "scene", "parallel", "decomposition", "progress"},
-    {"stream_function", "registry", "output_folder", "vessel_shape"},
+    {"stream_function", "registry", "output_folder", "vessel_shape", "compact_intervals"},
     {"api", "loading", "diffusion_tensor", "metrics"},
     {"testing", "config", "storage", "figures"},
     {"flow_source", "blending", "doctor"},

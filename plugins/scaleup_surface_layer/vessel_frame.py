@@ -1,0 +1,454 @@
+"""From lab-frame bed surfaces to fills and fluxes on the grid that turns with the vessel.
+
+Each interval of the flow:
+ 1 candidates: cells that the surface or the layer may touch between its start and its end;
+ 2 their fill at the end: cut by the surface there and by the wall;
+ 3 the layer's flux F*, its weights, shear rate and direction, as means over the interval's steps;
+ 4 components: a set of cells that no flux can reach keeps its fill; every other has its fill
+   corrected so that it neither gains nor loses volume;
+ 5 the fluxes are closed to round-off (`continuity`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from scaleup.api import (
+    BoolArray,
+    CompactInterval,
+    FloatArray,
+    Geometry,
+    Grid,
+    IntArray,
+    cut_fraction,
+    cut_fraction_of_cells,
+    runs_of_cells,
+)
+from scaleup_surface_layer.continuity import Segments, close_balance, find_segments
+from scaleup_surface_layer.lab_columns import (
+    BedStep,
+    Columns,
+    Layer,
+    bilinear,
+    depth_below,
+    layer_at,
+    layer_of,
+)
+from scaleup_surface_layer.layer_flux import add_layer_flux, add_layer_shear
+
+_FLOOR = 1e-3  # weight of a wet face outside the layer, over that of one in it
+_STILL = 1e-7  # of omega R^2: a flux below it moves nothing
+_CHUNK = 500_000  # cells cut at once
+
+
+@dataclass
+class Quality:
+    """How far the closed fluxes are from the model's, over all intervals so far.
+
+    model, correction -- sums of |F*| and |F - F*| over lateral faces and intervals, m^3/s
+    stuck -- greatest volume that was to move in cells that no flux can reach, m^3
+    level -- m, greatest shift of the surface that kept the volume
+    """
+
+    model: float = 0.0
+    correction: float = 0.0
+    stuck: float = 0.0
+    level: float = 0.0
+
+
+@dataclass
+class Draft:
+    """An interval in the making, on n candidate cells.
+
+    cells  -- flat grid indices, ascending; before, after -- fill, m^3
+    across -- the lateral grid axis in the plane; along -- the other
+    flux, weight -- (2, n): lower faces normal to `across`, and to z
+    shear  -- 1/s, (n,); motion -- velocity relative to rigid rotation, m/s, (3, n)
+    """
+
+    cells: IntArray
+    before: FloatArray
+    after: FloatArray
+    across: int
+    flux: FloatArray
+    weight: FloatArray
+    shear: FloatArray
+    motion: FloatArray
+
+    @property
+    def along(self) -> int:
+        """The grid axis that segments run along."""
+        return 1 - self.across
+
+
+@dataclass
+class VesselFrame:
+    """The grid, the vessel on it, and the bed's fill as time goes on.
+
+    geometry, grid -- the vessel and the vessel-fixed grid
+    columns        -- of the lab-frame fields
+    omega          -- rad/s
+    volume         -- m^3 of bed
+    shear_rate     -- 1/s, of the layer's closure
+    """
+
+    geometry: Geometry
+    grid: Grid
+    columns: Columns
+    omega: float
+    volume: float
+    shear_rate: float
+    quality: Quality = field(default_factory=Quality)
+
+    def __post_init__(self) -> None:
+        grid = self.grid
+        flat = grid.dimension == 2
+        wall = self.geometry.signed_distance(grid.corner_points())
+        self.capacity: FloatArray = (cut_fraction(wall) * grid.cell_volume).ravel()
+        self.vessel: IntArray = np.flatnonzero(self.capacity > 0)
+        self.apertures = _apertures(wall)
+        self.wall = wall if not flat else wall[None]
+        self.counts = np.array([*grid.counts, 1] if flat else grid.counts)
+        depth = grid.depth if flat else grid.spacing[2]
+        self.spacing = np.array([grid.spacing[0], grid.spacing[1], depth])
+        lowest = -0.5 * depth if flat else grid.lower[2]
+        axis = self.geometry.axis.point
+        self.corner = np.array([grid.lower[0] - axis[0], grid.lower[1] - axis[1], lowest])
+        self.fill = np.zeros(grid.cells)
+        self._index = np.full(grid.cells, -1, dtype=np.int32)
+        self._level = 0.0
+
+    def begin(self, step: BedStep) -> None:
+        """Fill the vessel to the surface before a step."""
+        for _ in range(50):
+            fill = self._cut(self.vessel, self._layer(step, 0.0), step.before.phase)
+            room = self._room(self.vessel, fill)
+            excess = float(fill.sum() - self.volume)
+            if abs(excess) <= 0.3 * room.sum():
+                break
+            self._level -= self._rise(excess, room)
+        self.fill[self.vessel] = fill - excess / room.sum() * room
+
+    def advance(
+        self, steps: Sequence[BedStep], start: float, end: float, goal: FloatArray | None = None
+    ) -> CompactInterval:
+        """The interval, from `start` to `end` (s), that consists of some steps.
+
+        goal -- the fill (m^3, flat) to end with, if it is known
+        """
+        draft = self._draft(steps, goal)
+        lateral = (draft.across,) if self.grid.dimension == 2 else (draft.across, 2)
+        wet = (draft.before > 0) | (draft.after > 0) | (draft.weight > 0).any(axis=0)
+        below = self._neighbours(draft.cells, draft.along, wet)
+        beside = tuple(self._neighbours(draft.cells, axis, wet) for axis in lateral)
+        self._index[draft.cells] = -1
+        tiny = 1e-14 * self.grid.cell_volume
+        used = np.abs(draft.after - draft.before) > tiny
+        for row, other in enumerate(beside):
+            passes = np.flatnonzero((draft.flux[row] != 0) & (other >= 0))
+            used[passes] = used[other[passes]] = True
+        segments = find_segments(below, beside, used)
+        frozen = self._balance(draft, segments, adjust=goal is None)
+        if frozen.any():
+            used &= ~frozen
+            segments = find_segments(below, beside, used)
+        through = self._close(draft, segments, below, lateral, end - start)
+        return self._finish(draft, used, lateral, through, start, end)
+
+    def _draft(self, steps: Sequence[BedStep], goal: FloatArray | None) -> Draft:
+        first, last = self._layer(steps[0], 0.0), self._layer(steps[-1], 1.0)
+        phases = steps[0].before.phase, steps[-1].after.phase
+        where = self.counts, self.corner, self.spacing
+        moves = _moves(steps, _STILL * self.omega * self.geometry.reach**2)
+        cells = _candidates(
+            self.vessel, self.fill, self.capacity, first, phases[0], last, phases[1], moves, *where
+        )
+        if goal is not None:
+            cells = np.union1d(cells, np.flatnonzero(np.abs(goal - self.fill) > 0))
+        n = len(cells)
+        draft = Draft(
+            cells,
+            self.fill[cells],
+            self._cut(cells, last, phases[1]) if goal is None else goal[cells],
+            self._across(steps),
+            np.zeros((2, n)),
+            np.zeros((2, n)),
+            np.zeros(n),
+            np.zeros((3, n)),
+        )
+        self._index[cells] = np.arange(n)
+        share = 1 / len(steps)
+        for step in steps:
+            layer = self._layer(step, 0.5)
+            phase = 0.5 * (step.before.phase + step.after.phase)
+            add_layer_flux(
+                layer,
+                phase,
+                share,
+                cells,
+                self._index,
+                draft.across,
+                self.apertures,
+                *where,
+                draft.flux,
+                draft.weight,
+            )
+            add_layer_shear(layer, phase, share, cells, *where, draft.shear, draft.motion)
+        return draft
+
+    def _balance(self, draft: Draft, segments: Segments, adjust: bool) -> BoolArray:
+        """Make every component keep its volume; returns which cells cannot and keep their fill."""
+        used = segments.segment >= 0
+        component = segments.component[segments.segment[used]]
+        before, after = draft.before[used], draft.after[used]
+        room = self._room(draft.cells[used], after)
+        excess = np.bincount(component, after - before, segments.components)
+        rooms = np.bincount(component, room, segments.components)
+        cure = -np.divide(excess, rooms, out=np.zeros_like(excess), where=rooms > 0)
+        solvable = np.abs(excess) <= (0.9 * rooms if adjust else 1e-12 * self.grid.cell_volume)
+        if adjust:
+            after = after + np.where(solvable, cure, 0.0)[component] * room
+            biggest = int(rooms.argmax()) if len(rooms) else 0
+            if len(rooms):
+                self._level -= self._rise(float(excess[biggest]), room[component == biggest])
+                self.quality.level = max(self.quality.level, abs(self._level))
+        fixed = ~solvable[component]
+        after = np.where(fixed, before, after)
+        stuck = float(np.abs(draft.after[used] - before)[fixed].sum())
+        self.quality.stuck = max(self.quality.stuck, stuck)
+        draft.after = draft.before.copy()
+        draft.after[used] = after
+        frozen = np.zeros(len(used), dtype=bool)
+        frozen[np.flatnonzero(used)[fixed]] = True
+        return frozen
+
+    def _close(
+        self,
+        draft: Draft,
+        segments: Segments,
+        below: IntArray,
+        lateral: tuple[int, ...],
+        duration: float,
+    ) -> FloatArray:
+        rows = len(lateral)
+        for row, axis in enumerate(lateral):
+            floor = _FLOOR * self.grid.face_area(axis) * self.apertures[axis, draft.cells]
+            draft.weight[row] = np.maximum(draft.weight[row], floor)
+        model = draft.flux[:rows].copy()
+        gain = (draft.after - draft.before) / duration
+        through = close_balance(segments, below, draft.flux[:rows], draft.weight[:rows], gain)
+        self.quality.model += float(np.abs(model).sum())
+        self.quality.correction += float(np.abs(draft.flux[:rows] - model).sum())
+        return through
+
+    def _finish(
+        self,
+        draft: Draft,
+        used: BoolArray,
+        lateral: tuple[int, ...],
+        through: FloatArray,
+        start: float,
+        end: float,
+    ) -> CompactInterval:
+        cells, dimension = draft.cells, self.grid.dimension
+        flux = np.zeros((dimension, len(cells)))
+        for row, axis in enumerate(lateral):
+            flux[axis] = draft.flux[row]
+        flux[draft.along] = through
+        self.fill[cells] = draft.after
+        speed = np.sqrt((draft.motion**2).sum(axis=0))
+        direction = np.divide(draft.motion, speed, where=speed > 0, out=0.0 * draft.motion)
+        draft.shear[~used] = 0.0
+        keep = used | (draft.shear > 0)
+        # cells at rest that are neither full nor empty are kept one by one as well
+        partly = (self.fill > 0) & (self.fill < self.capacity)
+        partly[cells] = False
+        other = np.flatnonzero(partly)
+        full = self.fill > 0
+        full[other] = False
+        full[cells[keep]] = False
+        stored = np.concatenate([cells[keep], other])
+        order = np.argsort(stored, kind="stable")
+        kind = np.int32 if self.grid.cells < 2**31 else np.int64
+
+        def whole(values: FloatArray, elsewhere: FloatArray | float = 0.0) -> FloatArray:
+            both = np.zeros((*values.shape[:-1], len(stored)))
+            both[..., : keep.sum()] = values[..., keep]
+            both[..., keep.sum() :] = elsewhere
+            return np.ascontiguousarray(both[..., order])
+
+        return CompactInterval(
+            start=start,
+            end=end,
+            cells=stored[order].astype(kind),
+            fill_start=whole(draft.before, self.fill[other]),
+            fill_end=whole(draft.after, self.fill[other]),
+            flux=whole(flux),
+            shear_rate=whole(draft.shear).astype(np.float32),
+            direction=whole(direction[:dimension]).astype(np.float32),
+            still=runs_of_cells(np.flatnonzero(full)).astype(kind),
+        )
+
+    def _neighbours(self, cells: IntArray, axis: int, wet: BoolArray) -> IntArray:
+        """Number of the wet candidate below each along an axis, through an open face; else -1."""
+        stride = int(np.prod(self.counts[:axis]))
+        other = self._index[cells - stride].astype(np.int64)
+        closed = (self.apertures[axis, cells] <= 0) | ~wet | (other < 0)
+        closed |= ~wet[other]
+        return np.where(closed, -1, other)
+
+    def _cut(self, cells: IntArray, layer: Layer, phase: float) -> FloatArray:
+        """Fill of cells below a layer's surface, m^3."""
+        fill = np.empty(len(cells))
+        for begin in range(0, len(cells), _CHUNK):
+            some = cells[begin : begin + _CHUNK]
+            state, corners = _corner_depths(
+                layer, phase, some, self.wall, self.counts, self.corner, self.spacing
+            )
+            part = np.where(state > 0, self.capacity[some], 0.0)
+            cut = cut_fraction_of_cells(corners) * self.grid.cell_volume
+            part[state == 0] = np.minimum(cut, self.capacity[some[state == 0]])
+            fill[begin : begin + _CHUNK] = part
+        return fill
+
+    def _room(self, cells: IntArray, fill: FloatArray) -> FloatArray:
+        """By how much a fill may go up and down alike, m^3."""
+        return np.minimum(fill, self.capacity[cells] - fill)
+
+    def _rise(self, volume: float, room: FloatArray) -> float:
+        """About how far a volume lifts the surface, m: a cut cell has room for a quarter."""
+        return 0.25 * volume * self.grid.spacing[0] / max(float(room.sum()), 1e-300)
+
+    def _layer(self, step: BedStep, share: float) -> Layer:
+        thinnest = 0.5 * self.grid.spacing[0]
+        layer = layer_of(self.columns, step, share, self.shear_rate, thinnest)
+        return layer._replace(surface=layer.surface + self._level)
+
+    def _across(self, steps: Sequence[BedStep]) -> int:
+        """The in-plane grid axis that lies closest to the surface: 0 or 1."""
+        step = steps[len(steps) // 2]
+        middle = 0.5 * (step.before.surface + step.after.surface)
+        bed = step.after.depth > 0
+        inner = bed[1:] & bed[:-1]
+        slope = float(np.diff(middle, axis=0)[inner].mean() / self.columns.dx)
+        phase = 0.5 * (steps[0].before.phase + steps[-1].after.phase)
+        c, s = math.cos(phase), math.sin(phase)
+        # the surface's direction (1, slope) in vessel coordinates
+        return 0 if abs(c + s * slope) >= abs(c * slope - s) else 1
+
+
+def _apertures(wall: FloatArray) -> FloatArray:
+    """Open share of every cell's lower faces, (3, cells), single precision; 0 at the edge."""
+    dimension = wall.ndim
+    shape = tuple(n - 1 for n in wall.shape)
+    result = np.zeros((3, int(np.prod(shape))), dtype=np.float32)
+    for axis in range(dimension):
+        normal = dimension - 1 - axis
+        lower = np.take(wall, range(shape[normal]), normal)
+        rest = [d for d in range(dimension) if d != normal]
+        corners = []
+        for number in range(2 ** (dimension - 1)):
+            part = lower
+            for bit, d in enumerate(reversed(rest)):
+                offset = (number >> bit) & 1
+                part = np.take(part, range(offset, offset + shape[d]), d)
+            corners.append(part.ravel())
+        low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+        result[axis] = low > 0
+        cut = (low <= 0) & (high > 0)
+        if dimension == 3:
+            result[axis, cut] = cut_fraction_of_cells(np.stack([v[cut] for v in corners], axis=-1))
+        else:
+            result[axis, cut] = high[cut] / (high[cut] - low[cut])
+    return result
+
+
+def _moves(steps: Sequence[BedStep], still: float) -> FloatArray:
+    """1 on columns that a flux touches, themselves or through a neighbour; else 0."""
+    total = np.zeros_like(steps[0].after.surface)
+    for step in steps:
+        fx, fz = np.abs(step.flux_x), np.abs(step.flux_z)
+        total = np.maximum(total, np.maximum(fx[1:], fx[:-1]))
+        total = np.maximum(total, np.maximum(fz[:, 1:], fz[:, :-1]))
+    busy = np.pad(total > still, 1)
+    spread = busy[1:-1, 1:-1].copy()
+    for i in (0, 1, 2):
+        for k in (0, 1, 2):
+            spread |= busy[i : i + total.shape[0], k : k + total.shape[1]]
+    return spread.astype(float)
+
+
+@njit(cache=True)
+def _candidates(
+    vessel, fill, capacity, first, phase0, last, phase1, moves, counts, corner, spacing
+):
+    c0, s0, c1, s1 = np.cos(phase0), np.sin(phase0), np.cos(phase1), np.sin(phase1)
+    nx, ny = counts[0], counts[1]
+    margin = 1.6 * spacing[0]
+    found = np.empty(len(vessel), dtype=np.int64)
+    n = 0
+    for cell in vessel:
+        i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+        vx = corner[0] + (i + 0.5) * spacing[0]
+        vy = corner[1] + (j + 0.5) * spacing[1]
+        z = corner[2] + (k + 0.5) * spacing[2]
+        x0, y0 = c0 * vx - s0 * vy, s0 * vx + c0 * vy
+        x1, y1 = c1 * vx - s1 * vy, s1 * vx + c1 * vy
+        d0, d1 = depth_below(first, x0, y0, z), depth_below(last, x1, y1, z)
+        held = fill[cell]
+        if max(d0, d1) < -margin and held == 0:
+            continue
+        t = (z - first.z0) / first.dz - 0.5
+        if (
+            bilinear(moves, (x0 - first.x0) / first.dx - 0.5, t) <= 0
+            and bilinear(moves, (x1 - first.x0) / first.dx - 0.5, t) <= 0
+        ):
+            continue
+        if held == capacity[cell]:
+            low = min(d0, d1) - margin
+            if low > 0 and low > layer_at(first, x0, z)[2] and low > layer_at(last, x1, z)[2]:
+                continue
+        found[n] = cell
+        n += 1
+    return found[:n].copy()
+
+
+@njit(cache=True)
+def _corner_depths(layer, phase, cells, wall, counts, corner, spacing):
+    """Which cells are below the surface (1), above it (-1) or cut (0), and the latter's corners.
+
+    Corner values are min(distance below the surface, distance to the wall), x fastest.
+    """
+    c, s = np.cos(phase), np.sin(phase)
+    nx, ny = counts[0], counts[1]
+    flat = counts[2] == 1
+    number = 4 if flat else 8
+    state = np.empty(len(cells), dtype=np.int8)
+    corners = np.empty((len(cells), number))
+    cut = 0
+    for n in range(len(cells)):
+        cell = cells[n]
+        i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+        low, high = np.inf, -np.inf
+        for m in range(number):
+            a, b, e = m & 1, (m >> 1) & 1, m >> 2
+            vx = corner[0] + (i + a) * spacing[0]
+            vy = corner[1] + (j + b) * spacing[1]
+            z = corner[2] + (k + (0.5 if flat else e)) * spacing[2]
+            depth = depth_below(layer, c * vx - s * vy, s * vx + c * vy, z)
+            low, high = min(low, depth), max(high, depth)
+            # the slope of the surface is near 0.4: make it a distance, as the wall's is
+            corners[cut, m] = min(0.92 * depth, wall[k + e, j + b, i + a])
+        if low > 0:
+            state[n] = 1
+        elif high <= 0:
+            state[n] = -1
+        else:
+            state[n] = 0
+            cut += 1
+    return state, corners[:cut].copy()
