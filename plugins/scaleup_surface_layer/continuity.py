@@ -161,7 +161,7 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
     load.setArray(-need)
     solver.solve(load, solution)
     if solver.getConvergedReason() <= 0:
-        raise RunError("surface-layer: the correction of the fluxes did not converge")
+        raise RunError(f"surface-layer: the correction of the fluxes did not converge {solver.getConvergedReason()} {solver.getIterationNumber()} {n} {abs(need).max()} {w.min()} {w.max()} {segments.components}")
     phi: FloatArray = solution.getArray().copy()
     for handle in (solver, operator, solution, load):
         handle.destroy()
