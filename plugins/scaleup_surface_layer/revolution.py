@@ -16,7 +16,7 @@ from scaleup_surface_layer.sandpile import SlopeLaw, relax
 from scaleup_surface_layer.turned_vessel import ColumnShape, TurnedVessel
 
 _DRY = 1e-6  # of a column's width: less depth than this is none
-_REPEATS = 1e-4  # of the bed's volume may differ from one revolution to the next
+_REPEATS = 1e-3  # of the bed's volume may differ from one revolution to the next
 
 
 @dataclass

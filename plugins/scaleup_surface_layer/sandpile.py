@@ -28,7 +28,8 @@ from scaleup.api import FloatArray
 from scaleup_surface_layer.lab_columns import Columns
 from scaleup_surface_layer.turned_vessel import ColumnShape
 
-_DAMPING = 30.0  # the stiffest modes shrink by 1/cosh(sqrt(2 x 5)) = 0.085 in a step
+_DAMPING = 300.0  # the more, the less a step overshoots; stages grow as its fourth root
+_STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / width^2
 _FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
 
@@ -57,41 +58,74 @@ def relax(
     columns: Columns, shape: ColumnShape, volume: FloatArray, law: SlopeLaw, duration: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Volumes after `duration` (s), and the mean fluxes (nx + 1, nz) and (nx, nz + 1), m^2/s."""
-    stiffness = 4.0 * law.conductance / columns.dx**2
-    if columns.nz > 1:
-        stiffness += 4.0 * law.conductance / columns.dz**2
-    stages = _stages(stiffness * duration)
     flat = columns.nz == 1
+    width = columns.dx if flat else min(columns.dx, columns.dz)
+    passage = _passage(shape.open, shape.low, shape.high, flat)
     qx, qz = _chebyshev(
         volume,
         shape.open,
         shape.low,
-        shape.high,
+        shape.high - shape.low,
+        passage,
         columns.dx,
         columns.dz,
         flat,
         (law.friction, law.conductance, law.smooth, law.greatest),
-        _FILM * min(columns.dx, columns.dx if flat else columns.dz),
+        _FILM * width,
         duration,
-        stages,
+        _stages(_STIFF * law.conductance / width**2 * duration),
+        _DAMPING,
     )
     after = _limited(volume, shape.capacity, qx, qz, columns.dx, columns.dz)
     return after, qx / duration, qz / duration
 
 
 def _stages(stiffness: float) -> int:
-    """Smallest number s >= 2 whose damped Chebyshev polynomial is stable up to `stiffness`."""
+    """Smallest number of stages whose damped Chebyshev polynomial is stable up to `stiffness`."""
     root = math.sqrt(2 * _DAMPING)
     return max(2, math.ceil(math.sqrt(stiffness * root / (2 * math.tanh(root)))) + 1)
 
 
 @njit(cache=True)
-def _chebyshev(volume, open_, low, high, dx, dz, flat, law, film, dt, stages):
+def _passage(open_, low, high, flat):
+    """What does not change while the bed relaxes, per face and per corner.
+
+    open_x (nx + 1, nz), open_z (nx, nz + 1) -- open width of faces, 0 to 1
+    share_x, share_z, area -- at corners (nx + 1, nz + 1): one over the number of open faces across
+    x and z that meet there, and the share of a corner's area that lies in the vessel
+    """
+    nx, nz = open_.shape
+    open_x, open_z = np.zeros((nx + 1, nz)), np.zeros((nx, nz + 1))
+    for i in range(1, nx):
+        for k in range(nz):
+            if min(high[i - 1, k], high[i, k]) > max(low[i - 1, k], low[i, k]):
+                open_x[i, k] = min(open_[i - 1, k], open_[i, k])
+    for i in range(nx):
+        for k in range(1, nz):
+            if not flat and min(high[i, k - 1], high[i, k]) > max(low[i, k - 1], low[i, k]):
+                open_z[i, k] = min(open_[i, k - 1], open_[i, k])
+    shape = (nx + 1, nz + 1)
+    share_x, share_z, area = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for i in range(nx + 1):
+        for k in range(nz + 1):
+            a, b = 0, 0
+            for e in range(2):
+                if 0 <= k - 1 + e < nz and open_x[i, k - 1 + e] > 0:
+                    a += 1
+                if 0 <= i - 1 + e < nx and open_z[i - 1 + e, k] > 0:
+                    b += 1
+            share_x[i, k] = 1.0 / a if a else 0.0
+            share_z[i, k] = 1.0 / b if b else 0.0
+            area[i, k] = 0.5 * max(a, b)
+    return open_x, open_z, share_x, share_z, area
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _chebyshev(volume, open_, low, room, passage, dx, dz, flat, law, film, dt, stages, damping):
     """Time integrals of the fluxes over dt."""
     nx, nz = volume.shape
-    # coefficients: T_j and T'_j at w0
-    w0 = 1.0 + 30.0 / stages**2
-    t0, t1, d0, d1 = 1.0, w0, 0.0, 1.0
+    w0 = 1.0 + damping / stages**2
+    t0, t1, d0, d1 = 1.0, w0, 0.0, 1.0  # T and T' at w0, of two successive degrees
     values = np.empty(stages + 1)
     values[0], values[1] = 1.0, w0
     for j in range(2, stages + 1):
@@ -101,21 +135,23 @@ def _chebyshev(volume, open_, low, high, dx, dz, flat, law, film, dt, stages):
     sx, sz = (nx + 1, nz), (nx, nz + 1)
     x0, x1, x2 = np.zeros(sx), np.zeros(sx), np.zeros(sx)
     z0, z1, z2 = np.zeros(sz), np.zeros(sz), np.zeros(sz)
+    head, body = np.zeros((nx, nz)), np.zeros((nx, nz))
+    per_open = np.zeros((nx, nz))
+    for i in range(nx):
+        for k in range(nz):
+            if open_[i, k] > 0:
+                per_open[i, k] = 1.0 / open_[i, k]
+    work = (np.zeros(sx), np.zeros(sz), np.zeros(sx), np.zeros(sz), np.zeros((nx + 1, nz + 1)))
     fx, fz = np.zeros(sx), np.zeros(sz)
-    head, body = np.empty((nx, nz)), np.empty((nx, nz))
     for j in range(1, stages + 1):
         # the state that the sums x1, z1 stand for
         for i in range(nx):
             for k in range(nz):
-                a = open_[i, k]
-                if a <= 0:
-                    continue
-                v = volume[i, k] - (x1[i + 1, k] - x1[i, k]) / dx
-                if not flat:
-                    v -= (z1[i, k + 1] - z1[i, k]) / dz
-                b = min(max(v / a, 0.0), high[i, k] - low[i, k])
-                body[i, k], head[i, k] = b, low[i, k] + b
-        _flux(head, body, open_, low, high, dx, dz, flat, law, film, fx, fz)
+                v = volume[i, k] - (x1[i + 1, k] - x1[i, k]) / dx - (z1[i, k + 1] - z1[i, k]) / dz
+                b = min(max(v * per_open[i, k], 0.0), room[i, k])
+                body[i, k] = b
+                head[i, k] = low[i, k] + b
+        _flux(head, body, room, passage, dx, dz, flat, law, film, work, fx, fz)
         if j == 1:
             one, two, step = 1.0, 0.0, w1 / w0 * dt
         else:
@@ -134,78 +170,54 @@ def _chebyshev(volume, open_, low, high, dx, dz, flat, law, film, dt, stages):
     return x1, z1
 
 
-@njit(cache=True)
-def _passage(a, b, head, body, open_, low, high, film, i, k, m, n):
-    """Drop (m) from one column to a neighbour and how freely material may follow it, 0 to 1."""
-    drop = head[i, k] - head[m, n]
-    if drop == 0.0:
-        return 0.0, 0.0
-    if drop < 0:
-        i, k, m, n = m, n, i, k
-    gives = min(body[i, k] / film, 1.0)
-    takes = min((high[m, n] - low[m, n] - body[m, n]) / film, 1.0)
-    return drop, min(a, b) * gives * max(takes, 0.0)
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _flux(head, body, room, passage, dx, dz, flat, law, film, work, fx, fz):
+    """Fluxes through column faces.
 
-
-@njit(cache=True)
-def _flux(head, body, open_, low, high, dx, dz, flat, law, film, fx, fz):
-    """Fluxes through column faces, from the gradient at each corner of the columns."""
+    At a corner the squared slope is the mean over the faces that meet there, each weighted by how
+    freely material follows it (0 from an empty column, into a full one, through a wall).
+    """
     friction, conductance, smooth, greatest = law
+    open_x, open_z, share_x, share_z, area = passage
+    gx, gz, square_x, square_z, rate = work
     nx, nz = head.shape
-    fx[:] = 0.0
-    fz[:] = 0.0
-    g = np.zeros(4)  # slopes of the faces around a corner: two across x, two across z
-    m = np.zeros(4)  # how freely they pass
+    for i in range(1, nx):
+        for k in range(nz):
+            drop = (head[i - 1, k] - head[i, k]) / dx
+            down = drop > 0
+            gives = body[i - 1, k] if down else body[i, k]
+            takes = room[i, k] - body[i, k] if down else room[i - 1, k] - body[i - 1, k]
+            free = open_x[i, k] * min(gives / film, 1.0) * min(takes / film, 1.0)
+            gx[i, k] = free * drop
+            square_x[i, k] = free * drop * drop
+    if not flat:
+        for i in range(nx):
+            for k in range(1, nz):
+                drop = (head[i, k - 1] - head[i, k]) / dz
+                down = drop > 0
+                gives = body[i, k - 1] if down else body[i, k]
+                takes = room[i, k] - body[i, k] if down else room[i, k - 1] - body[i, k - 1]
+                free = open_z[i, k] * min(gives / film, 1.0) * min(takes / film, 1.0)
+                gz[i, k] = free * drop
+                square_z[i, k] = free * drop * drop
     for i in range(nx + 1):
         for k in range(nz + 1):
-            in_x, in_z = 0, 0
-            square = 0.0
-            for e in range(4):
-                g[e], m[e] = 0.0, 0.0
-                if e < 2:
-                    a, c = i - 1, k - 1 + e
-                    b, d = i, c
-                else:
-                    a, c = i - 1 + (e - 2), k - 1
-                    b, d = a, k
-                if a < 0 or c < 0 or b >= nx or d >= nz:
-                    continue
-                if open_[a, c] <= 0 or open_[b, d] <= 0:
-                    continue
-                if min(high[a, c], high[b, d]) <= max(low[a, c], low[b, d]):
-                    continue
-                drop, free = _passage(
-                    open_[a, c], open_[b, d], head, body, open_, low, high, film, a, c, b, d
-                )
-                if e < 2:
-                    in_x += 1
-                    g[e] = drop / dx
-                else:
-                    in_z += 1
-                    g[e] = drop / dz
-                m[e] = free
-            if in_x + in_z == 0:
-                continue
-            for e in range(4):
-                if m[e] > 0:
-                    square += m[e] * g[e] * g[e] / (in_x if e < 2 else in_z)
-            slope = np.sqrt(square)
-            excess = slope - friction
-            if excess <= 0:
-                continue
-            if excess < smooth:
-                rate = conductance * excess * excess / (2 * smooth)
-            else:
-                rate = conductance * (excess - 0.5 * smooth)
-            rate = min(rate, greatest) / slope * 0.5 * max(in_x, in_z)
-            for e in range(4):
-                if m[e] <= 0:
-                    continue
-                q = rate * m[e] * g[e] / (in_x if e < 2 else in_z)
-                if e < 2:
-                    fx[i, k - 1 + e] += q
-                else:
-                    fz[i - 1 + (e - 2), k] += q
+            a = (square_x[i, k - 1] if k > 0 else 0.0) + (square_x[i, k] if k < nz else 0.0)
+            b = (square_z[i - 1, k] if i > 0 else 0.0) + (square_z[i, k] if i < nx else 0.0)
+            slope = np.sqrt(share_x[i, k] * a + share_z[i, k] * b)
+            excess = max(slope - friction, 0.0)
+            ramp = min(excess, smooth)
+            q = conductance * (0.5 * ramp * ramp / smooth + excess - ramp)
+            rate[i, k] = area[i, k] * min(q, greatest) / max(slope, friction)
+    for i in range(1, nx):
+        for k in range(nz):
+            here = share_x[i, k] * rate[i, k] + share_x[i, k + 1] * rate[i, k + 1]
+            fx[i, k] = gx[i, k] * here
+    if not flat:
+        for i in range(nx):
+            for k in range(1, nz):
+                here = share_z[i, k] * rate[i, k] + share_z[i + 1, k] * rate[i + 1, k]
+                fz[i, k] = gz[i, k] * here
 
 
 @njit(cache=True)

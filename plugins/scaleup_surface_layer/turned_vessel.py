@@ -133,7 +133,7 @@ def _trace(wall, corner, spacing, reach, phase, place, floor, roof):
     c, s = np.cos(phase), np.sin(phase)
     x0, dx, z0, dz = place
     nx, nz, sx, sz = floor.shape
-    least = 0.25 * spacing[0]
+    least = 0.5 * spacing[0]
     total, broken = 0, 0
     for i in range(nx):
         for k in range(nz):
@@ -148,7 +148,9 @@ def _trace(wall, corner, spacing, reach, phase, place, floor, roof):
                     if not high > low:
                         continue
                     floor[i, k, p, q], roof[i, k, p, q] = low, high
-                    total += 1
+                    if p > 0 or q > 0:
+                        continue
+                    total += 1  # one line of a column is looked at for gaps
                     for e in range(1, 8):
                         y = low + (high - low) * e / 8
                         d = _distance(wall, corner, spacing, c * x + s * y, -s * x + c * y, z)

@@ -43,6 +43,8 @@ from scaleup_surface_layer.layer_flux import add_layer_flux, add_layer_shear
 
 _FLOOR = 1e-3  # weight of a wet face outside the layer, over that of one in it
 _STILL = 1e-7  # of omega R^2: a flux below it moves nothing
+_CLOSED = 1e-4  # open share of a face below which it counts as wall
+_GROWTH = 6  # rings of cells by which a set that cannot keep its volume may grow
 _CHUNK = 500_000  # cells cut at once
 
 
@@ -135,13 +137,19 @@ class VesselFrame:
         self.fill[self.vessel] = fill - excess / room.sum() * room
 
     def advance(
-        self, steps: Sequence[BedStep], start: float, end: float, goal: FloatArray | None = None
+        self,
+        steps: Sequence[BedStep],
+        start: float,
+        end: float,
+        goal: FloatArray | None = None,
+        everywhere: bool = False,
     ) -> CompactInterval:
         """The interval, from `start` to `end` (s), that consists of some steps.
 
-        goal -- the fill (m^3, flat) to end with, if it is known
+        goal       -- the fill (m^3, flat) to end with, if it is known
+        everywhere -- let the correction reach the whole bed, not just where it flows
         """
-        draft = self._draft(steps, goal)
+        draft = self._draft(steps, goal, everywhere)
         lateral = (draft.across,) if self.grid.dimension == 2 else (draft.across, 2)
         wet = (draft.before > 0) | (draft.after > 0) | (draft.weight > 0).any(axis=0)
         below = self._neighbours(draft.cells, draft.along, wet)
@@ -152,15 +160,27 @@ class VesselFrame:
         for row, other in enumerate(beside):
             passes = np.flatnonzero((draft.flux[row] != 0) & (other >= 0))
             used[passes] = used[other[passes]] = True
-        segments = find_segments(below, beside, used)
-        frozen = self._balance(draft, segments, adjust=goal is None)
-        if frozen.any():
-            used &= ~frozen
+        for _ in range(_GROWTH):
             segments = find_segments(below, beside, used)
+            unbalanced = self._unbalanced(draft, segments, exact=goal is not None)
+            if not unbalanced.any():
+                break
+            _grow(used, unbalanced, (below, *beside))
+        else:
+            if goal is not None and not everywhere:
+                return self.advance(steps, start, end, goal, everywhere=True)
+            unbalanced = self._unbalanced(draft, segments, exact=goal is not None)
+            stuck = float(np.abs(draft.after - draft.before)[unbalanced].sum())
+            self.quality.stuck = max(self.quality.stuck, stuck)
+            used &= ~unbalanced
+            segments = find_segments(below, beside, used)
+        self._balance(draft, segments, shift=goal is None)
         through = self._close(draft, segments, below, lateral, end - start)
         return self._finish(draft, used, lateral, through, start, end)
 
-    def _draft(self, steps: Sequence[BedStep], goal: FloatArray | None) -> Draft:
+    def _draft(
+        self, steps: Sequence[BedStep], goal: FloatArray | None, everywhere: bool
+    ) -> Draft:
         first, last = self._layer(steps[0], 0.0), self._layer(steps[-1], 1.0)
         phases = steps[0].before.phase, steps[-1].after.phase
         where = self.counts, self.corner, self.spacing
@@ -170,6 +190,8 @@ class VesselFrame:
         )
         if goal is not None:
             cells = np.union1d(cells, np.flatnonzero(np.abs(goal - self.fill) > 0))
+        if everywhere:
+            cells = np.union1d(cells, np.flatnonzero(self.fill > 0))
         n = len(cells)
         draft = Draft(
             cells,
@@ -201,31 +223,38 @@ class VesselFrame:
             add_layer_shear(layer, phase, share, cells, *where, draft.shear, draft.motion)
         return draft
 
-    def _balance(self, draft: Draft, segments: Segments, adjust: bool) -> BoolArray:
-        """Make every component keep its volume; returns which cells cannot and keep their fill."""
+    def _volumes(
+        self, draft: Draft, segments: Segments
+    ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """Component of each used cell, room in each, and the excess and the room of components."""
         used = segments.segment >= 0
         component = segments.component[segments.segment[used]]
-        before, after = draft.before[used], draft.after[used]
-        room = self._room(draft.cells[used], after)
-        excess = np.bincount(component, after - before, segments.components)
-        rooms = np.bincount(component, room, segments.components)
-        cure = -np.divide(excess, rooms, out=np.zeros_like(excess), where=rooms > 0)
-        solvable = np.abs(excess) <= (0.9 * rooms if adjust else 1e-12 * self.grid.cell_volume)
-        if adjust:
-            after = after + np.where(solvable, cure, 0.0)[component] * room
-            biggest = int(rooms.argmax()) if len(rooms) else 0
-            if len(rooms):
+        room = self._room(draft.cells[used], draft.after[used])
+        gained = draft.after[used] - draft.before[used]
+        n = segments.components
+        excess = np.bincount(component, gained, n).astype(float)
+        return component, room, excess, np.bincount(component, room, n).astype(float)
+
+    def _unbalanced(self, draft: Draft, segments: Segments, exact: bool) -> BoolArray:
+        """Which cells belong to a component that cannot be made to keep its volume."""
+        component, _, excess, rooms = self._volumes(draft, segments)
+        bound = np.minimum(0.9 * rooms, 1e-10 * self.grid.cell_volume if exact else np.inf)
+        cells = np.zeros(len(draft.cells), dtype=bool)
+        cells[segments.segment >= 0] = (np.abs(excess) > bound)[component]
+        return cells
+
+    def _balance(self, draft: Draft, segments: Segments, shift: bool) -> None:
+        """Make every component keep its volume, and cells that are not used their fill."""
+        used = segments.segment >= 0
+        draft.after = np.where(used, draft.after, draft.before)
+        for turn in range(2):  # the second for what rounding left
+            component, room, excess, rooms = self._volumes(draft, segments)
+            cure = np.divide(excess, rooms, out=np.zeros_like(excess), where=rooms > 0)
+            draft.after[used] -= cure[component] * room
+            if turn == 0 and shift and len(rooms):
+                biggest = int(rooms.argmax())
                 self._level -= self._rise(float(excess[biggest]), room[component == biggest])
                 self.quality.level = max(self.quality.level, abs(self._level))
-        fixed = ~solvable[component]
-        after = np.where(fixed, before, after)
-        stuck = float(np.abs(draft.after[used] - before)[fixed].sum())
-        self.quality.stuck = max(self.quality.stuck, stuck)
-        draft.after = draft.before.copy()
-        draft.after[used] = after
-        frozen = np.zeros(len(used), dtype=bool)
-        frozen[np.flatnonzero(used)[fixed]] = True
-        return frozen
 
     def _close(
         self,
@@ -236,8 +265,11 @@ class VesselFrame:
         duration: float,
     ) -> FloatArray:
         rows = len(lateral)
+        if segments.count == 0:
+            draft.flux[:] = 0.0
+            return np.zeros(len(draft.cells))
         for row, axis in enumerate(lateral):
-            floor = _FLOOR * self.grid.face_area(axis) * self.apertures[axis, draft.cells]
+            floor = _FLOOR * self.grid.face_area(axis)
             draft.weight[row] = np.maximum(draft.weight[row], floor)
         model = draft.flux[:rows].copy()
         gain = (draft.after - draft.before) / duration
@@ -267,7 +299,7 @@ class VesselFrame:
         keep = used | (draft.shear > 0)
         # cells at rest that are neither full nor empty are kept one by one as well
         partly = (self.fill > 0) & (self.fill < self.capacity)
-        partly[cells] = False
+        partly[cells[keep]] = False
         other = np.flatnonzero(partly)
         full = self.fill > 0
         full[other] = False
@@ -365,7 +397,16 @@ def _apertures(wall: FloatArray) -> FloatArray:
             result[axis, cut] = cut_fraction_of_cells(np.stack([v[cut] for v in corners], axis=-1))
         else:
             result[axis, cut] = high[cut] / (high[cut] - low[cut])
+    result[result < _CLOSED] = 0.0
     return result
+
+
+def _grow(used: BoolArray, seeds: BoolArray, below: tuple[IntArray, ...]) -> None:
+    """Mark as used what lies beyond an open face from the seeds."""
+    for other in below:
+        here = np.flatnonzero(other >= 0)
+        reached = seeds[here] | seeds[other[here]]
+        used[here[reached]] = used[other[here[reached]]] = True
 
 
 def _moves(steps: Sequence[BedStep], still: float) -> FloatArray:
