@@ -7,6 +7,7 @@ column centres, or the middles of column faces for fluxes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -68,73 +69,88 @@ class BedStep:
 
 
 class Layer(NamedTuple):
-    """A flowing layer at one instant, for the kernels; see `BedState` and `BedStep`.
+    """A flowing layer at one instant, for the kernels.
 
-    divergence -- of the flux, m/s, (nx, nz); shear_rate -- 1/s; thinnest -- m, least thickness
+    table      -- (2 nx + 1, 2 nz + 1, 5) values on a lattice of half the columns' spacing, which
+                  holds every node of every field: surface (m), bed depth (m), flux x and z (m^2/s),
+                  divergence of the flux (m/s)
+    x0, dx, z0, dz -- first point and spacing of the lattice, m
+    shear_rate -- 1/s; thinnest, thickest -- bounds of the thickness, m
     """
 
+    table: FloatArray
     x0: float
     dx: float
     z0: float
     dz: float
-    surface: FloatArray
-    depth: FloatArray
-    flux_x: FloatArray
-    flux_z: FloatArray
-    divergence: FloatArray
     shear_rate: float
     thinnest: float
+    thickest: float
 
 
-def layer_of(columns: Columns, step: BedStep, share: float, shear_rate: float, thinnest: float):
-    """The layer at a share (0 to 1) of a step."""
+def layer_of(
+    columns: Columns, step: BedStep, share: float, level: float, shear_rate: float, thinnest: float
+) -> Layer:
+    """The layer at a share (0 to 1) of a step, its surface lifted by `level` (m)."""
     fx, fz = step.flux_x, step.flux_z
-    return Layer(
-        columns.x0,
-        columns.dx,
-        columns.z0,
-        columns.dz,
-        (1 - share) * step.before.surface + share * step.after.surface,
+    divergence = np.diff(fx, axis=0) / columns.dx + np.diff(fz, axis=1) / columns.dz
+    fields = (
+        (1 - share) * step.before.surface + share * step.after.surface + level,
         (1 - share) * step.before.depth + share * step.after.depth,
         fx,
         fz,
-        np.diff(fx, axis=0) / columns.dx + np.diff(fz, axis=1) / columns.dz,
+        divergence,
+    )
+    table = np.stack([_halved(_halved(f, 0, columns.nx), 1, columns.nz) for f in fields], axis=-1)
+    peak = math.hypot(float(np.abs(fx).max()), float(np.abs(fz).max()))
+    return Layer(
+        np.ascontiguousarray(table),
+        columns.x0,
+        0.5 * columns.dx,
+        columns.z0,
+        0.5 * columns.dz,
         shear_rate,
         thinnest,
+        max(thinnest, math.sqrt(2 * peak / shear_rate)),
     )
 
 
-@njit(cache=True)
-def bilinear(values, s, t):
-    """Value at node coordinates (s, t), held constant beyond the outermost nodes."""
-    n, m = values.shape
-    s = min(max(s, 0.0), n - 1.0)
-    t = min(max(t, 0.0), m - 1.0)
-    i = min(int(s), n - 2) if n > 1 else 0
-    k = min(int(t), m - 2) if m > 1 else 0
-    a, b = s - i, t - k
-    i1 = i + 1 if n > 1 else 0
-    k1 = k + 1 if m > 1 else 0
-    return (1 - a) * ((1 - b) * values[i, k] + b * values[i, k1]) + a * (
-        (1 - b) * values[i1, k] + b * values[i1, k1]
-    )
+def _halved(values: FloatArray, axis: int, count: int) -> FloatArray:
+    """Values at column centres (count) or faces (count + 1) on both along an axis."""
+    v = np.moveaxis(values, axis, 0)
+    fine = np.empty((2 * count + 1, *v.shape[1:]))
+    middle = 0.5 * (v[1:] + v[:-1])
+    if len(v) == count + 1:
+        fine[::2], fine[1::2] = v, middle
+    else:  # held constant from the outermost centres on
+        fine[1::2], fine[2:-2:2], fine[0], fine[-1] = v, middle, v[0], v[-1]
+    return np.moveaxis(fine, 0, axis)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def depth_below(layer, x, y, z):
     """Vertical depth below the surface at a lab point, m; negative above it."""
-    s = (x - layer.x0) / layer.dx - 0.5
-    t = (z - layer.z0) / layer.dz - 0.5
-    return bilinear(layer.surface, s, t) - y
+    return look_up(layer, x, z, 0) - y
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
+def look_up(layer, x, z, field):
+    """A field of the table at lab (x, z): bilinear, held constant beyond the edge."""
+    table = layer.table
+    n, m = table.shape[0], table.shape[1]
+    s = min(max((x - layer.x0) / layer.dx, 0.0), n - 1.000001)
+    t = min(max((z - layer.z0) / layer.dz, 0.0), m - 1.000001)
+    i, k = np.uint64(s), np.uint64(t)
+    a, b = s - i, t - k
+    one = np.uint64(1)
+    return (1 - a) * ((1 - b) * table[i, k, field] + b * table[i, k + one, field]) + a * (
+        (1 - b) * table[i + one, k, field] + b * table[i + one, k + one, field]
+    )
+
+
+@njit(cache=True, inline="always")
 def layer_at(layer, x, z):
     """(flux_x, flux_z, thickness) of the layer at lab (x, z), m^2/s and m."""
-    s = (x - layer.x0) / layer.dx
-    t = (z - layer.z0) / layer.dz
-    qx = bilinear(layer.flux_x, s, t - 0.5)
-    qz = bilinear(layer.flux_z, s - 0.5, t)
-    bed = bilinear(layer.depth, s - 0.5, t - 0.5)
+    qx, qz = look_up(layer, x, z, 2), look_up(layer, x, z, 3)
     delta = np.sqrt(2.0 * np.sqrt(qx * qx + qz * qz) / layer.shear_rate)
-    return qx, qz, max(min(delta, bed), layer.thinnest)
+    return qx, qz, max(min(delta, look_up(layer, x, z, 1)), layer.thinnest)

@@ -17,16 +17,44 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scaleup_surface_layer.lab_columns import bilinear, depth_below, layer_at
+from scaleup_surface_layer.lab_columns import depth_below, layer_at, look_up
 
 
 @njit(cache=True)
 def _potential(layer, x, y, z):
-    """(P_x, P_z, depth below the surface, 1 - zeta within [0, 1]) at a lab point."""
+    """(P_x, P_z, depth below the surface, 1 - zeta within [0, 1]) at a lab point.
+
+    Zero far above the surface, where no wet face has an edge.
+    """
     depth = depth_below(layer, x, y, z)
+    if depth >= layer.thickest:
+        return 0.0, 0.0, depth, 0.0
+    if depth < -4 * layer.thinnest:
+        return 0.0, 0.0, depth, 1.0
     qx, qz, delta = layer_at(layer, x, z)
     rest = 1.0 - min(max(depth / delta, 0.0), 1.0)
     return qx * rest * rest, qz * rest * rest, depth, rest
+
+
+@njit(cache=True)
+def _edge(layer, c, s, corner, spacing, i, j, k, kind):
+    """(circulation of A, depth, 1 - zeta) of the edge along axis `kind` from corner (i, j, k)."""
+    hx, hy, hz = spacing
+    vx, vy, z = corner[0] + i * hx, corner[1] + j * hy, corner[2] + k * hz
+    if kind == 0:
+        vx += 0.5 * hx
+    elif kind == 1:
+        vy += 0.5 * hy
+    else:
+        z += 0.5 * hz
+    px, pz, depth, rest = _potential(layer, c * vx - s * vy, s * vx + c * vy, z)
+    if kind == 0:
+        around = -pz * c * hx
+    elif kind == 1:
+        around = pz * s * hy
+    else:
+        around = px * hz
+    return around, depth, rest
 
 
 @njit(cache=True)
@@ -40,6 +68,33 @@ def _wet_share(d0, d1, d2, d3):
 
 
 @njit(cache=True)
+def _edges(layer, c, s, cells, counts, corner, spacing):
+    """`_edge` of the three edges at every cell's lower corner, (n, 3, 3)."""
+    nx, ny = counts[0], counts[1]
+    flat = counts[2] == 1
+    edges = np.zeros((len(cells), 3, 3))
+    for n in range(len(cells)):
+        cell = cells[n]
+        i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+        for kind in range(2 if flat else 0, 3):
+            e = _edge(layer, c, s, corner, spacing, i, j, k, kind)
+            edges[n, kind, 0], edges[n, kind, 1], edges[n, kind, 2] = e
+    return edges
+
+
+@njit(cache=True)
+def _ahead(
+    edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, kind, axis
+):
+    """The edge of a kind one cell further along an axis."""
+    other = index[cell + strides[axis]]
+    if other >= 0:
+        return edges[other, kind, 0], edges[other, kind, 1], edges[other, kind, 2]
+    i, j, k = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+    return _edge(layer, c, s, corner, spacing, i, j, k, kind)
+
+
+@njit(cache=True)
 def add_layer_flux(
     layer, phase, share, cells, index, across, apertures, counts, corner, spacing, flux, weight
 ):
@@ -47,66 +102,50 @@ def add_layer_flux(
 
     phase     -- rad; share -- of the interval that this layer stands for
     cells     -- flat indices; index -- grid cell -> number in `cells`, or -1
-    corner    -- lower corner of the grid relative to the axis; counts, spacing -- (3,)
     across    -- 0 or 1: the in-plane grid axis whose faces are wanted, beside those of z
     apertures -- open share of every grid cell's lower faces, (3, cells)
+    corner    -- lower corner of the grid relative to the axis; counts, spacing -- (3,)
     flux, weight -- (2, n), added to: row 0 for faces normal to `across`, row 1 for those to z
     """
     c, s = np.cos(phase), np.sin(phase)
-    hx, hy, hz = spacing
     nx, ny = counts[0], counts[1]
+    strides = np.array([1, nx, nx * ny])
+    flat = counts[2] == 1
     along = 1 - across
+    edges = _edges(layer, c, s, cells, counts, corner, spacing)
     lift = s if across == 0 else c  # of the lab's vertical along `across`
     for n in range(len(cells)):
         cell = cells[n]
-        i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
-        x0, y0 = corner[0] + i * hx, corner[1] + j * hy
-        zl = corner[2] + k * hz
-        zm = zl + 0.5 * hz
-        below = cell - (1 if across == 0 else nx)
-        aperture = apertures[across, cell]
-        if aperture > 0 and index[below] >= 0:
-            # edges along z at both ends of the face, and along `along` at both ends in z
-            dx, dy = (0.0, hy) if across == 0 else (hx, 0.0)
-            x1, y1 = x0 + dx, y0 + dy
-            xm, ym = x0 + 0.5 * dx, y0 + 0.5 * dy
-            pa, _, da, ra = _potential(layer, c * x0 - s * y0, s * x0 + c * y0, zm)
-            pb, _, db, rb = _potential(layer, c * x1 - s * y1, s * x1 + c * y1, zm)
-            ql, qu = 0.0, 0.0
-            dl, du, rl, ru = 0.5 * (da + db), 0.5 * (da + db), 0.5 * (ra + rb), 0.5 * (ra + rb)
-            lx, ly = c * xm - s * ym, s * xm + c * ym
-            if counts[2] > 1:
-                _, ql, dl, rl = _potential(layer, lx, ly, zl)
-                _, qu, du, ru = _potential(layer, lx, ly, zl + hz)
-            # A along the edges: P_x on z, P_z sin(phase) on y, -P_z cos(phase) on x
-            if across == 0:
-                around = (pb - pa) * hz - (qu - ql) * s * hy
+        for row in range(1 if flat else 2):
+            normal = across if row == 0 else 2
+            aperture = apertures[normal, cell]
+            if aperture <= 0 or index[cell - strides[normal]] < 0:
+                continue
+            i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+            p, q = (normal + 1) % 3, (normal + 2) % 3
+            if flat:  # edges along z alone; the others cancel
+                e0 = edges[n, 2]
+                e1 = _ahead(edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, 2, along)
+                around = e1[0] - e0[0] if across == 0 else e0[0] - e1[0]
+                wet = _wet_share(e0[1], e1[1], 0.5 * (e0[1] + e1[1]), 0.5 * (e0[1] + e1[1]))
+                rest = 0.5 * (e0[2] + e1[2])
             else:
-                around = -(pb - pa) * hz - (qu - ql) * c * hx
-            wet = _wet_share(da, db, dl, du)
-            if wet > 0:
-                area = hz * (hy if across == 0 else hx)
-                if wet < 1:
-                    u, v = (lx - layer.x0) / layer.dx - 0.5, (zm - layer.z0) / layer.dz - 0.5
-                    falling = -bilinear(layer.divergence, u, v)
-                    around -= (1 - wet) * area * falling * lift
-                flux[0, n] += share * aperture * around
-                weight[0, n] += share * aperture * area * wet * 0.25 * (ra + rb + rl + ru)
-        if counts[2] == 1:
-            continue
-        below = cell - nx * ny
-        aperture = apertures[2, cell]
-        if aperture > 0 and index[below] >= 0:
-            x, y = x0 + 0.5 * hx, y0 + 0.5 * hy
-            _, pl, dl, rl = _potential(layer, c * x0 - s * y, s * x0 + c * y, zl)
-            _, pr, dr, rr = _potential(layer, c * (x0 + hx) - s * y, s * (x0 + hx) + c * y, zl)
-            _, pd, dd, rd = _potential(layer, c * x - s * y0, s * x + c * y0, zl)
-            _, pu, du, ru = _potential(layer, c * x - s * (y0 + hy), s * x + c * (y0 + hy), zl)
-            wet = _wet_share(dl, dr, dd, du)
-            if wet > 0:
-                around = (pr - pl) * s * hy + (pu - pd) * c * hx
-                flux[1, n] += share * aperture * around
-                weight[1, n] += share * aperture * hx * hy * wet * 0.25 * (rl + rr + rd + ru)
+                low, left = edges[n, p], edges[n, q]
+                high = _ahead(edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, p, q)
+                right = _ahead(edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, q, p)
+                around = low[0] + right[0] - high[0] - left[0]
+                wet = _wet_share(low[1], high[1], left[1], right[1])
+                rest = 0.25 * (low[2] + high[2] + left[2] + right[2])
+            if wet <= 0:
+                continue
+            area = spacing[p] * spacing[q]
+            if wet < 1 and row == 0:
+                x = corner[0] + (i + (0.0 if across == 0 else 0.5)) * spacing[0]
+                y = corner[1] + (j + (0.0 if across == 1 else 0.5)) * spacing[1]
+                z = corner[2] + (k + 0.5) * spacing[2]
+                around += (1 - wet) * area * lift * look_up(layer, c * x - s * y, z, 4)
+            flux[row, n] += share * aperture * around
+            weight[row, n] += share * aperture * area * wet * rest
 
 
 @njit(cache=True)
@@ -118,6 +157,7 @@ def add_layer_shear(layer, phase, share, cells, counts, corner, spacing, shear, 
     """
     c, s = np.cos(phase), np.sin(phase)
     nx, ny = counts[0], counts[1]
+    middle = corner[2] + 0.5 * counts[2] * spacing[2]
     for n in range(len(cells)):
         cell = cells[n]
         i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
@@ -125,18 +165,22 @@ def add_layer_shear(layer, phase, share, cells, counts, corner, spacing, shear, 
         vy = corner[1] + (j + 0.5) * spacing[1]
         z = corner[2] + (k + 0.5) * spacing[2]
         x, y = c * vx - s * vy, s * vx + c * vy
-        px, pz, depth, rest = _potential(layer, x, y, z)
-        if rest <= 0 or (px == 0 and pz == 0):
+        depth = depth_below(layer, x, y, z)
+        if depth >= layer.thickest or depth < -4 * layer.thinnest:
             continue
         qx, qz, delta = layer_at(layer, x, z)
         q = np.sqrt(qx * qx + qz * qz)
+        rest = 1.0 - min(max(depth / delta, 0.0), 1.0)
+        if rest <= 0 or q == 0:
+            continue
         ux, uz = 2 * qx / delta * rest, 2 * qz / delta * rest
-        e = 0.5 * layer.dx
-        slope_x = (depth_below(layer, x + e, y, z) - depth_below(layer, x - e, y, z)) / (2 * e)
+        # slopes from the surface a column's width apart, towards the axis of rotation
+        e = 2 * layer.dx if x < 0 else -2 * layer.dx
+        slope_x = (depth_below(layer, x + e, y, z) - depth) / e
         slope_z = 0.0
         if counts[2] > 1:
-            e = 0.5 * layer.dz
-            slope_z = (depth_below(layer, x, y, z + e) - depth_below(layer, x, y, z - e)) / (2 * e)
+            e = 2 * layer.dz if z < middle else -2 * layer.dz
+            slope_z = (depth_below(layer, x, y, z + e) - depth) / e
         w = ux * slope_x + uz * slope_z
         shear[n] += share * 2 * q / delta**2
         motion[0, n] += share * (c * ux + s * w)

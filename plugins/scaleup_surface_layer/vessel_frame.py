@@ -27,14 +27,12 @@ from scaleup.api import (
     IntArray,
     cut_fraction,
     cut_fraction_of_cells,
-    runs_of_cells,
 )
 from scaleup_surface_layer.continuity import Segments, close_balance, find_segments
 from scaleup_surface_layer.lab_columns import (
     BedStep,
     Columns,
     Layer,
-    bilinear,
     depth_below,
     layer_at,
     layer_of,
@@ -298,12 +296,9 @@ class VesselFrame:
         draft.shear[~used] = 0.0
         keep = used | (draft.shear > 0)
         # cells at rest that are neither full nor empty are kept one by one as well
-        partly = (self.fill > 0) & (self.fill < self.capacity)
-        partly[cells[keep]] = False
-        other = np.flatnonzero(partly)
-        full = self.fill > 0
-        full[other] = False
-        full[cells[keep]] = False
+        self._index[cells[keep]] = 0
+        other, still = _resting(self.vessel, self.fill, self.capacity, self._index)
+        self._index[cells[keep]] = -1
         stored = np.concatenate([cells[keep], other])
         order = np.argsort(stored, kind="stable")
         kind = np.int32 if self.grid.cells < 2**31 else np.int64
@@ -323,7 +318,7 @@ class VesselFrame:
             flux=whole(flux),
             shear_rate=whole(draft.shear).astype(np.float32),
             direction=whole(direction[:dimension]).astype(np.float32),
-            still=runs_of_cells(np.flatnonzero(full)).astype(kind),
+            still=still.astype(kind),
         )
 
     def _neighbours(self, cells: IntArray, axis: int, wet: BoolArray) -> IntArray:
@@ -358,8 +353,7 @@ class VesselFrame:
 
     def _layer(self, step: BedStep, share: float) -> Layer:
         thinnest = 0.5 * self.grid.spacing[0]
-        layer = layer_of(self.columns, step, share, self.shear_rate, thinnest)
-        return layer._replace(surface=layer.surface + self._level)
+        return layer_of(self.columns, step, share, self._level, self.shear_rate, thinnest)
 
     def _across(self, steps: Sequence[BedStep]) -> int:
         """The in-plane grid axis that lies closest to the surface: 0 or 1."""
@@ -409,19 +403,19 @@ def _grow(used: BoolArray, seeds: BoolArray, below: tuple[IntArray, ...]) -> Non
         used[here[reached]] = used[other[here[reached]]] = True
 
 
-def _moves(steps: Sequence[BedStep], still: float) -> FloatArray:
-    """1 on columns that a flux touches, themselves or through a neighbour; else 0."""
+def _moves(steps: Sequence[BedStep], still: float) -> BoolArray:
+    """Which columns a flux touches, themselves or through a neighbour."""
     total = np.zeros_like(steps[0].after.surface)
     for step in steps:
         fx, fz = np.abs(step.flux_x), np.abs(step.flux_z)
         total = np.maximum(total, np.maximum(fx[1:], fx[:-1]))
         total = np.maximum(total, np.maximum(fz[:, 1:], fz[:, :-1]))
     busy = np.pad(total > still, 1)
-    spread = busy[1:-1, 1:-1].copy()
+    spread: BoolArray = busy[1:-1, 1:-1].copy()
     for i in (0, 1, 2):
         for k in (0, 1, 2):
             spread |= busy[i : i + total.shape[0], k : k + total.shape[1]]
-    return spread.astype(float)
+    return spread
 
 
 @njit(cache=True)
@@ -444,19 +438,40 @@ def _candidates(
         held = fill[cell]
         if max(d0, d1) < -margin and held == 0:
             continue
-        t = (z - first.z0) / first.dz - 0.5
-        if (
-            bilinear(moves, (x0 - first.x0) / first.dx - 0.5, t) <= 0
-            and bilinear(moves, (x1 - first.x0) / first.dx - 0.5, t) <= 0
-        ):
+        low = min(d0, d1) - margin
+        if held == capacity[cell] and low > first.thickest and low > last.thickest:
             continue
-        if held == capacity[cell]:
-            low = min(d0, d1) - margin
-            if low > 0 and low > layer_at(first, x0, z)[2] and low > layer_at(last, x1, z)[2]:
+        k = min(max(int((z - first.z0) / first.dz) // 2, 0), moves.shape[1] - 1)
+        i0 = min(max(int((x0 - first.x0) / first.dx) // 2, 0), moves.shape[0] - 1)
+        i1 = min(max(int((x1 - first.x0) / first.dx) // 2, 0), moves.shape[0] - 1)
+        if not (moves[i0, k] or moves[i1, k]):
+            continue
+        if held == capacity[cell] and low > 0:
+            if low > layer_at(first, x0, z)[2] and low > layer_at(last, x1, z)[2]:
                 continue
         found[n] = cell
         n += 1
     return found[:n].copy()
+
+
+@njit(cache=True)
+def _resting(vessel, fill, capacity, marked):
+    """Cells with material that are not marked (-1): partly filled ones, and runs of full ones."""
+    other = np.empty(len(vessel), dtype=np.int64)
+    runs = np.empty((len(vessel), 2), dtype=np.int64)
+    n, m = 0, 0
+    for cell in vessel:
+        if marked[cell] >= 0 or fill[cell] <= 0:
+            continue
+        if fill[cell] < capacity[cell]:
+            other[n] = cell
+            n += 1
+        elif m > 0 and runs[m - 1, 1] == cell:
+            runs[m - 1, 1] = cell + 1
+        else:
+            runs[m, 0], runs[m, 1] = cell, cell + 1
+            m += 1
+    return other[:n].copy(), runs[:m].copy()
 
 
 @njit(cache=True)
