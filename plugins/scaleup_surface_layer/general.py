@@ -79,7 +79,7 @@ def general_flow(scene: Scene, options: SurfaceLayer.Options, progress: Progress
             )
         )
         progress(0.5 + 0.5 * (number + 1) / count, "fills and fluxes of the turning vessel")
-    findings = Findings(scene, columns, revolution, frame, law, shear_rate)
+    findings = Findings(scene, columns, revolution, frame)
     return FlowField(
         grid=grid,
         frame="vessel",

@@ -23,15 +23,15 @@ _REPEATS = 1e-3  # of the bed's volume may differ from one revolution to the nex
 class Revolution:
     """Steps from the level bed on; those from `prefix` on are one revolution that repeats.
 
-    steps    -- prefix + one revolution of them
+    steps    -- prefix + one revolution of them; multiple -- of them in an interval
+    shapes   -- the vessel in the columns, at the phases of one revolution
     mismatch -- share of the bed's volume that differs between the ends of that revolution
     rehomed  -- volume put elsewhere than rotation left it, per revolution, over the bed's
     drift    -- greatest relative change of the bed's volume
-    broken   -- greatest share of vertical lines that leave the vessel in between, and its phase
-    overfill -- greatest overfill or shortage of a column, over its capacity
     """
 
     steps: list[BedStep]
+    multiple: int
     shapes: list[ColumnShape]
     prefix: int
     mismatch: float
@@ -67,12 +67,11 @@ def revolve(
     state = _state(columns, shape, held, tops, 0.0, law.friction)
     history, steps, shapes = [held], [], [shape]
     moved, drift = 0.0, 0.0
-    shape_at = [shape]
     for number in range(1, 3 * per_revolution + 1):
         again = number % per_revolution
         if number < per_revolution:
-            shape_at.append(vessel.columns(columns, number * angle, sub_lines))
-        turned = shape_at[again]
+            shapes.append(vessel.columns(columns, number * angle, sub_lines))
+        turned = shapes[again]
         landed, misplaced = turn(columns, shape, held, tops, turned, angle)
         held, qx, qz = relax(columns, turned, landed, law, angle / omega)
         moved += misplaced
@@ -89,7 +88,8 @@ def revolve(
                 break
     return Revolution(
         steps=steps,
-        shapes=shape_at,
+        multiple=multiple,
+        shapes=shapes,
         prefix=number - per_revolution,
         mismatch=float(mismatch),
         rehomed=float(moved / total * per_revolution / number),
