@@ -28,7 +28,7 @@ from scaleup.api import FloatArray
 from scaleup_surface_layer.lab_columns import Columns
 from scaleup_surface_layer.turned_vessel import ColumnShape
 
-_DAMPING = 300.0  # the more, the less a step overshoots; stages grow as its fourth root
+_DAMPING = 3000.0  # the more, the less a step overshoots; stages grow as its fourth root
 _STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / width^2
 _FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face

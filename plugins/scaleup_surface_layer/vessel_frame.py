@@ -42,6 +42,8 @@ from scaleup_surface_layer.layer_flux import add_layer_flux, add_layer_shear
 _FLOOR = 1e-3  # weight of a wet face outside the layer, over that of one in it
 _STILL = 1e-7  # of omega R^2: a flux below it moves nothing
 _CLOSED = 1e-4  # open share of a face below which it counts as wall
+_SLIVERS = 1e-7  # of the bed: what may stay in cells that no flux can reach
+_EXACT = 1e-9  # of the room of cells, by which a fill that is known may be corrected
 _GROWTH = 6  # rings of cells by which a set that cannot keep its volume may grow
 _CHUNK = 500_000  # cells cut at once
 
@@ -112,6 +114,7 @@ class VesselFrame:
         self.capacity: FloatArray = (cut_fraction(wall) * grid.cell_volume).ravel()
         self.vessel: IntArray = np.flatnonzero(self.capacity > 0)
         self.apertures = _apertures(wall)
+        self.vessel = self.vessel[self._reachable()[self.vessel]]
         self.wall = wall if not flat else wall[None]
         self.counts = np.array([*grid.counts, 1] if flat else grid.counts)
         depth = grid.depth if flat else grid.spacing[2]
@@ -122,6 +125,20 @@ class VesselFrame:
         self.fill = np.zeros(grid.cells)
         self._index = np.full(grid.cells, -1, dtype=np.int32)
         self._level = 0.0
+
+    def _reachable(self) -> BoolArray:
+        """Which cells have an open face; slivers at the wall that have none stay empty."""
+        shape = self.grid.shape
+        open_: BoolArray = np.zeros(shape, dtype=bool)
+        for axis in range(self.grid.dimension):
+            faces = self.apertures[axis].reshape(shape) > 0
+            open_ |= faces
+            along = self.grid.array_axis(axis)
+            ahead = np.take(faces, range(1, shape[along]), along)
+            lower = [slice(None)] * len(shape)
+            lower[along] = slice(0, -1)
+            open_[tuple(lower)] |= ahead
+        return open_.ravel()
 
     def begin(self, step: BedStep) -> None:
         """Fill the vessel to the surface before a step."""
@@ -161,14 +178,13 @@ class VesselFrame:
         for _ in range(_GROWTH):
             segments = find_segments(below, beside, used)
             unbalanced = self._unbalanced(draft, segments, exact=goal is not None)
-            if not unbalanced.any():
+            stuck = float(np.abs(draft.after - draft.before)[unbalanced].sum())
+            if not unbalanced.any() or (goal is None and stuck < _SLIVERS * self.volume):
                 break
             _grow(used, unbalanced, (below, *beside))
-        else:
+        if unbalanced.any():
             if goal is not None and not everywhere:
                 return self.advance(steps, start, end, goal, everywhere=True)
-            unbalanced = self._unbalanced(draft, segments, exact=goal is not None)
-            stuck = float(np.abs(draft.after - draft.before)[unbalanced].sum())
             self.quality.stuck = max(self.quality.stuck, stuck)
             used &= ~unbalanced
             segments = find_segments(below, beside, used)
@@ -231,12 +247,15 @@ class VesselFrame:
         gained = draft.after[used] - draft.before[used]
         n = segments.components
         excess = np.bincount(component, gained, n).astype(float)
+        if n:  # the sum over very many cells, without rounding
+            largest = int(np.bincount(component).argmax())
+            excess[largest] = math.fsum(gained[component == largest])
         return component, room, excess, np.bincount(component, room, n).astype(float)
 
     def _unbalanced(self, draft: Draft, segments: Segments, exact: bool) -> BoolArray:
         """Which cells belong to a component that cannot be made to keep its volume."""
         component, _, excess, rooms = self._volumes(draft, segments)
-        bound = np.minimum(0.9 * rooms, 1e-10 * self.grid.cell_volume if exact else np.inf)
+        bound = (_EXACT if exact else 0.9) * rooms
         cells = np.zeros(len(draft.cells), dtype=bool)
         cells[segments.segment >= 0] = (np.abs(excess) > bound)[component]
         return cells
@@ -245,7 +264,7 @@ class VesselFrame:
         """Make every component keep its volume, and cells that are not used their fill."""
         used = segments.segment >= 0
         draft.after = np.where(used, draft.after, draft.before)
-        for turn in range(2):  # the second for what rounding left
+        for turn in range(3):  # once more, and again, for what rounding left
             component, room, excess, rooms = self._volumes(draft, segments)
             cure = np.divide(excess, rooms, out=np.zeros_like(excess), where=rooms > 0)
             draft.after[used] -= cure[component] * room
