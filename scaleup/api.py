@@ -28,7 +28,13 @@ from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
-from scaleup.vessel_shape import froude_number, is_circle, level_height, require_drum, require_rolling
+from scaleup.vessel_shape import (
+    froude_number,
+    is_circle,
+    level_height,
+    require_drum,
+    require_rolling,
+)
 
 if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition

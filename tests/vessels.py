@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scaleup_drum import Drum
 
 from scaleup.api import Axis, cut_fraction, grid_over
+from scaleup_drum import Drum
 
 
 class SignedDistanceVessel:
@@ -72,24 +72,23 @@ class TiltedBox(SignedDistanceVessel):
 
 
 class Vee(SignedDistanceVessel):
-    """Two cylinders that meet at an angle; `half`: the one at z > 0 alone."""
+    """Two cylinders that meet at an angle of 80 degrees."""
 
-    def __init__(self, radius=0.05, tilt=math.radians(40.0), length=2.3, half=False):
-        self.radius, self.tilt, self.length, self.half = radius, tilt, length * radius, half
+    def __init__(self, radius=0.05, length=2.3):
+        tilt = math.radians(40.0)
+        self.radius, self.tilt, self.length = radius, tilt, length * radius
         lowest = -radius / math.sin(tilt)
         highest = self.length * math.cos(tilt) + radius * math.sin(tilt)
         self.shift = -0.5 * (lowest + highest)
         wide = self.length * math.sin(tilt) + radius * math.cos(tilt)
         top = highest + self.shift
         self.reach = max(top, math.hypot(radius, self.length * math.cos(tilt) + self.shift))
-        self.lower = (-radius, lowest + self.shift, 0.0 if half else -wide)
+        self.lower = (-radius, lowest + self.shift, -wide)
         self.upper = (radius, top, wide)
         self.count()
 
     def signed_distance(self, points):
-        x, y, z = points[..., 0], points[..., 1] - self.shift, points[..., 2]
-        side = np.abs(z)
+        x, y, side = points[..., 0], points[..., 1] - self.shift, np.abs(points[..., 2])
         along = math.cos(self.tilt) * y + math.sin(self.tilt) * side
         across = -math.sin(self.tilt) * y + math.cos(self.tilt) * side
-        arm = np.minimum(self.radius - np.hypot(x, across), self.length - along)
-        return np.minimum(arm, z) if self.half else arm
+        return np.minimum(self.radius - np.hypot(x, across), self.length - along)

@@ -50,7 +50,7 @@ class SurfaceLayer:
         steps_per_interval: Annotated[int, Field(ge=1, le=64)] = 2
         """general: steps of the bed's surface in an interval"""
         column_spacing: units.Length | None = None
-        """general: m, of the lab columns; default 1.5 cells, at most 72 columns across (2-D: 288)"""
+        """general: m, of the lab columns; default 1.5 cells, up to 72 columns across (2-D: 288)"""
         slope_excess: Annotated[float, Field(gt=0, le=0.2)] = 0.01
         """general: share by which the slope exceeds tan(phi) at a flux of omega R^2/2"""
 

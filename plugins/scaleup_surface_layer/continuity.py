@@ -45,9 +45,7 @@ class Segments:
     lower_cell: IntArray
 
 
-def find_segments(
-    below: IntArray, beside: tuple[IntArray, ...], used: BoolArray
-) -> Segments:
+def find_segments(below: IntArray, beside: tuple[IntArray, ...], used: BoolArray) -> Segments:
     """Segments of the used cells.
 
     below  -- number of the cell below along the segment's axis, through an open face; else -1
@@ -123,7 +121,7 @@ def _shortfall(segments: Segments, lateral: FloatArray, gain: FloatArray) -> Flo
 
 
 def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArray:
-    """phi with sum over a segment's faces of w (phi_other - phi) = need, one fixed per component.
+    """Phi with sum over a segment's faces of w (phi_other - phi) = need, one fixed per component.
 
     Conjugate gradients with algebraic multigrid.
     """
@@ -161,7 +159,7 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
     load.setArray(-need)
     solver.solve(load, solution)
     if solver.getConvergedReason() <= 0:
-        raise RunError(f"surface-layer: the correction of the fluxes did not converge {solver.getConvergedReason()} {solver.getIterationNumber()} {n} {abs(need).max()} {w.min()} {w.max()} {segments.components}")
+        raise RunError("surface-layer: the correction of the fluxes did not converge")
     phi: FloatArray = solution.getArray().copy()
     for handle in (solver, operator, solution, load):
         handle.destroy()

@@ -30,9 +30,9 @@ _BOUNDS = {"slump": 0.3, "thick": 0.5, "steep": 0.05, "roof": 0.02, "overhang": 
 _SENTENCES = {
     "slump": "the layer's speed reaches {worst:.2g} of free fall through the bed's height",
     "thick": "the flowing layer takes {worst:.0%} of the bed's depth: it is not thin",
-    "steep": "the surface is {worst:.0%} steeper than the friction angle: too large a step",
+    "steep": "the surface is {worst:.0%} steeper than the friction angle allows",
     "roof": "{worst:.1%} of the flux runs in columns that are full to the wall",
-    "overhang": "{worst:.0%} of vertical lines leave the vessel in between: the surface is no graph",
+    "overhang": "{worst:.0%} of vertical lines leave the vessel in between: the bed is no graph",
 }
 _FLOWS = 0.1  # of the greatest flux: what counts as flowing
 

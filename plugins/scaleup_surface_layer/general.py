@@ -34,7 +34,8 @@ _ACROSS = 72  # columns across the vessel, at most, unless asked for
 def general_flow(scene: Scene, options: SurfaceLayer.Options, progress: Progress) -> FlowField:
     """The flow from the settled level bed on, then one revolution that repeats.
 
-    1 the bed in lab columns, step by step, until it repeats itself (`revolution`);
+    1 the bed in lab columns, step by step, until it repeats itself (`revolution`); of a vessel that
+      is its own mirror image in z, one half, and nothing crosses the plane between them;
     2 interval by interval, fills and fluxes on the vessel's grid (`vessel_frame`).
     """
     geometry, grid, omega = scene.geometry, scene.grid, scene.speed
@@ -46,22 +47,26 @@ def general_flow(scene: Scene, options: SurfaceLayer.Options, progress: Progress
     shear_rate = layer_shear_rate(scene.material, options)
     frame = VesselFrame(geometry, grid, columns, omega, scene.fill_volume, shear_rate)
     vessel = TurnedVessel(frame.wall, frame.corner, frame.spacing, geometry.reach)
+    halves = 2 if frame.close_mirror_plane() else 1
+    solved = columns.upper_half() if halves == 2 else columns
     law = slope_law(scene.material.friction, omega, geometry.reach, options.slope_excess)
     level = level_height(geometry, scene.fill_volume) - geometry.axis.point[1]
     flat = grid.dimension == 2
     revolution = revolve(
         vessel,
-        columns,
+        solved,
         law,
         omega,
         level,
-        scene.fill_volume,
+        scene.fill_volume / halves,
         per_revolution * multiple,
         multiple,
         (8, 1) if flat else (4, 2),
         lambda share: progress(0.5 * share, "bed surface"),
     )
     steps = revolution.steps
+    if halves == 2:
+        steps = [step.mirrored() for step in steps]
     count, prefix = len(steps) // multiple, revolution.prefix // multiple
     times = np.arange(count + 1) * (2 * math.pi / omega / per_revolution)
     frame.begin(steps[0])
@@ -79,7 +84,7 @@ def general_flow(scene: Scene, options: SurfaceLayer.Options, progress: Progress
             )
         )
         progress(0.5 + 0.5 * (number + 1) / count, "fills and fluxes of the turning vessel")
-    findings = Findings(scene, columns, revolution, frame)
+    findings = Findings(scene, solved, revolution, frame)
     return FlowField(
         grid=grid,
         frame="vessel",

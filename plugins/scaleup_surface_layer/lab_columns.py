@@ -8,7 +8,7 @@ column centres, or the middles of column faces for fluxes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,11 @@ class Columns:
         """M, shape (nz,)."""
         return self.z0 + self.dz * (np.arange(self.nz) + 0.5)
 
+    def upper_half(self) -> Columns:
+        """Those at greater z; nz must be even."""
+        half = self.nz // 2
+        return replace(self, z0=self.z0 + half * self.dz, nz=half)
+
 
 @dataclass(frozen=True)
 class BedState:
@@ -53,6 +58,10 @@ class BedState:
     surface: FloatArray
     depth: FloatArray
 
+    def mirrored(self) -> BedState:
+        """The whole of which this is the half at greater z."""
+        return BedState(self.phase, *(_both(field) for field in (self.surface, self.depth)))
+
 
 @dataclass(frozen=True)
 class BedStep:
@@ -66,6 +75,15 @@ class BedStep:
     after: BedState
     flux_x: FloatArray
     flux_z: FloatArray
+
+    def mirrored(self) -> BedStep:
+        """The whole of which this is the half at greater z; nothing crosses the plane between."""
+        flux_z = np.concatenate([-self.flux_z[:, :0:-1], self.flux_z], axis=1)
+        return BedStep(self.before.mirrored(), self.after.mirrored(), _both(self.flux_x), flux_z)
+
+
+def _both(upper: FloatArray) -> FloatArray:
+    return np.concatenate([upper[:, ::-1], upper], axis=1)
 
 
 class Layer(NamedTuple):

@@ -83,14 +83,15 @@ def _edges(layer, c, s, cells, counts, corner, spacing):
 
 
 @njit(cache=True)
-def _ahead(
-    edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, kind, axis
-):
+def _ahead(edges, index, place, strides, cell, kind, axis):
     """The edge of a kind one cell further along an axis."""
     other = index[cell + strides[axis]]
     if other >= 0:
         return edges[other, kind, 0], edges[other, kind, 1], edges[other, kind, 2]
-    i, j, k = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+    layer, c, s, corner, spacing = place
+    k, rest = cell // strides[2], cell % strides[2]
+    i, j = rest % strides[1] + (axis == 0), rest // strides[1] + (axis == 1)
+    k += axis == 2
     return _edge(layer, c, s, corner, spacing, i, j, k, kind)
 
 
@@ -112,6 +113,7 @@ def add_layer_flux(
     strides = np.array([1, nx, nx * ny])
     flat = counts[2] == 1
     along = 1 - across
+    place = layer, c, s, corner, spacing
     edges = _edges(layer, c, s, cells, counts, corner, spacing)
     lift = s if across == 0 else c  # of the lab's vertical along `across`
     for n in range(len(cells)):
@@ -125,14 +127,14 @@ def add_layer_flux(
             p, q = (normal + 1) % 3, (normal + 2) % 3
             if flat:  # edges along z alone; the others cancel
                 e0 = edges[n, 2]
-                e1 = _ahead(edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, 2, along)
+                e1 = _ahead(edges, index, place, strides, cell, 2, along)
                 around = e1[0] - e0[0] if across == 0 else e0[0] - e1[0]
                 wet = _wet_share(e0[1], e1[1], 0.5 * (e0[1] + e1[1]), 0.5 * (e0[1] + e1[1]))
                 rest = 0.5 * (e0[2] + e1[2])
             else:
                 low, left = edges[n, p], edges[n, q]
-                high = _ahead(edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, p, q)
-                right = _ahead(edges, index, layer, c, s, corner, spacing, strides, cell, i, j, k, q, p)
+                high = _ahead(edges, index, place, strides, cell, p, q)
+                right = _ahead(edges, index, place, strides, cell, q, p)
                 around = low[0] + right[0] - high[0] - left[0]
                 wet = _wet_share(low[1], high[1], left[1], right[1])
                 rest = 0.25 * (low[2] + high[2] + left[2] + right[2])

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from scaleup.api import FloatArray
 from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
 from scaleup_surface_layer.rotation import bed_surface, turn
 from scaleup_surface_layer.sandpile import SlopeLaw, relax

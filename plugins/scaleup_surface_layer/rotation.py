@@ -20,9 +20,7 @@ def bed_surface(
     """
     height = np.where(shape.open > 0, shape.low + volume / np.maximum(shape.open, 1e-12), 0.0)
     height = np.minimum(height, shape.high)
-    return _plane_tops(
-        shape.floor, shape.roof, volume, height, columns.dx, columns.dz, slope_limit
-    )
+    return _plane_tops(shape.floor, shape.roof, volume, height, columns.dx, columns.dz, slope_limit)
 
 
 def turn(
@@ -39,7 +37,9 @@ def turn(
     footprint covers. What lands beside the vessel, or above its roof, because a column is no finer
     than that, goes to the nearest column with room.
     """
-    landed = _deposit(columns.x0, columns.dx, columns.dz, shape.floor, shape.roof, volume, *tops, angle)
+    landed = _deposit(
+        columns.x0, columns.dx, columns.dz, shape.floor, shape.roof, volume, *tops, angle
+    )
     moved = _rehome(landed, turned.capacity)
     return landed, moved
 

@@ -31,6 +31,7 @@ from scaleup_surface_layer.turned_vessel import ColumnShape
 _DAMPING = 3000.0  # the more, the less a step overshoots; stages grow as its fourth root
 _STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / width^2
 _FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
+_SWEEPS = 200  # over all columns, at most, in which a flux is cut to what they hold
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
 
 
@@ -51,7 +52,9 @@ class SlopeLaw:
 def slope_law(friction: float, omega: float, reach: float, excess: float) -> SlopeLaw:
     """The law for a vessel (reach, m; omega, rad/s); `excess`: eps."""
     scale = 0.5 * omega * reach**2
-    return SlopeLaw(friction, scale / (excess * friction), 0.5 * excess * friction, _FASTEST * scale)
+    return SlopeLaw(
+        friction, scale / (excess * friction), 0.5 * excess * friction, _FASTEST * scale
+    )
 
 
 def relax(
@@ -225,13 +228,11 @@ def _limited(volume, capacity, qx, qz, dx, dz):
     """The volumes that integrated fluxes lead to; fluxes are cut where they would pass a bound."""
     nx, nz = volume.shape
     after = np.empty((nx, nz))
-    for sweep in range(200):
+    for _ in range(_SWEEPS):
         for i in range(nx):
             for k in range(nz):
                 after[i, k] = (
-                    volume[i, k]
-                    - (qx[i + 1, k] - qx[i, k]) / dx
-                    - (qz[i, k + 1] - qz[i, k]) / dz
+                    volume[i, k] - (qx[i + 1, k] - qx[i, k]) / dx - (qz[i, k + 1] - qz[i, k]) / dz
                 )
         worst = 0.0
         for i in range(nx):

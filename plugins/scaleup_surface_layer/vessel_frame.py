@@ -43,6 +43,7 @@ _FLOOR = 1e-3  # weight of a wet face outside the layer, over that of one in it
 _STILL = 1e-7  # of omega R^2: a flux below it moves nothing
 _CLOSED = 1e-4  # open share of a face below which it counts as wall
 _SLIVERS = 1e-7  # of the bed: what may stay in cells that no flux can reach
+_MIRROR = 1e-9  # of the reach: what a symmetric vessel's mirror image may be off by
 _EXACT = 1e-9  # of the room of cells, by which a fill that is known may be corrected
 _GROWTH = 6  # rings of cells by which a set that cannot keep its volume may grow
 _CHUNK = 500_000  # cells cut at once
@@ -140,6 +141,17 @@ class VesselFrame:
             open_[tuple(lower)] |= ahead
         return open_.ravel()
 
+    def close_mirror_plane(self) -> bool:
+        """Whether the vessel is its own mirror image in z; if so, its halves are cut apart."""
+        layers = int(self.counts[2])
+        if layers < 2 or layers % 2:
+            return False
+        if np.abs(self.wall - self.wall[::-1]).max() > _MIRROR * self.geometry.reach:
+            return False
+        middle = self.apertures.reshape(3, layers, -1)
+        middle[2, layers // 2] = 0.0
+        return True
+
     def begin(self, step: BedStep) -> None:
         """Fill the vessel to the surface before a step."""
         for _ in range(50):
@@ -192,9 +204,7 @@ class VesselFrame:
         through = self._close(draft, segments, below, lateral, end - start)
         return self._finish(draft, used, lateral, through, start, end)
 
-    def _draft(
-        self, steps: Sequence[BedStep], goal: FloatArray | None, everywhere: bool
-    ) -> Draft:
+    def _draft(self, steps: Sequence[BedStep], goal: FloatArray | None, everywhere: bool) -> Draft:
         first, last = self._layer(steps[0], 0.0), self._layer(steps[-1], 1.0)
         phases = steps[0].before.phase, steps[-1].after.phase
         where = self.counts, self.corner, self.spacing
@@ -465,9 +475,9 @@ def _candidates(
         i1 = min(max(int((x1 - first.x0) / first.dx) // 2, 0), moves.shape[0] - 1)
         if not (moves[i0, k] or moves[i1, k]):
             continue
-        if held == capacity[cell] and low > 0:
-            if low > layer_at(first, x0, z)[2] and low > layer_at(last, x1, z)[2]:
-                continue
+        thickness = max(layer_at(first, x0, z)[2], layer_at(last, x1, z)[2])
+        if held == capacity[cell] and low > thickness:
+            continue
         found[n] = cell
         n += 1
     return found[:n].copy()
