@@ -61,7 +61,7 @@ def general_flow(scene: Scene, options: SurfaceLayer.Options, progress: Progress
         scene.fill_volume / halves,
         per_revolution * multiple,
         multiple,
-        (8, 1) if flat else (4, 2),
+        (8, 1) if flat else (6, 3),
         lambda share: progress(0.5 * share, "bed surface"),
     )
     steps = revolution.steps

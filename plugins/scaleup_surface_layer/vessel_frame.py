@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from scaleup.api import (
     BoolArray,
@@ -44,8 +46,10 @@ _STILL = 1e-7  # of omega R^2: a flux below it moves nothing
 _CLOSED = 1e-4  # open share of a face below which it counts as wall
 _SLIVERS = 1e-7  # of the bed: what may stay in cells that no flux can reach
 _MIRROR = 1e-9  # of the reach: what a symmetric vessel's mirror image may be off by
+_POCKET = 1e-2  # of the vessel's cells: fewer that hang together are no part of it
 _EXACT = 1e-9  # of the room of cells, by which a fill that is known may be corrected
-_GROWTH = 6  # rings of cells by which a set that cannot keep its volume may grow
+_GROWTH = (1, 2, 4, 0)  # rings of cells by which sets that cannot keep their volume grow
+_FARTHER = (1, 2, 4, 8, 16, 32, 64, 0)  # the same, through any cell of the vessel
 _CHUNK = 500_000  # cells cut at once
 
 
@@ -115,7 +119,7 @@ class VesselFrame:
         self.capacity: FloatArray = (cut_fraction(wall) * grid.cell_volume).ravel()
         self.vessel: IntArray = np.flatnonzero(self.capacity > 0)
         self.apertures = _apertures(wall)
-        self.vessel = self.vessel[self._reachable()[self.vessel]]
+        self.vessel = self.vessel[self._reachable()]
         self.wall = wall if not flat else wall[None]
         self.counts = np.array([*grid.counts, 1] if flat else grid.counts)
         depth = grid.depth if flat else grid.spacing[2]
@@ -128,18 +132,19 @@ class VesselFrame:
         self._level = 0.0
 
     def _reachable(self) -> BoolArray:
-        """Which cells have an open face; slivers at the wall that have none stay empty."""
-        shape = self.grid.shape
-        open_: BoolArray = np.zeros(shape, dtype=bool)
+        """Which vessel cells hang together by open faces; slivers at the wall stay empty."""
+        number = np.full(self.grid.cells, -1)
+        number[self.vessel] = np.arange(len(self.vessel))
+        pairs = []
         for axis in range(self.grid.dimension):
-            faces = self.apertures[axis].reshape(shape) > 0
-            open_ |= faces
-            along = self.grid.array_axis(axis)
-            ahead = np.take(faces, range(1, shape[along]), along)
-            lower = [slice(None)] * len(shape)
-            lower[along] = slice(0, -1)
-            open_[tuple(lower)] |= ahead
-        return open_.ravel()
+            upper = self.vessel[self.apertures[axis, self.vessel] > 0]
+            lower = number[upper - int(np.prod(self.grid.counts[:axis]))]
+            pairs.append(np.stack([number[upper], lower])[:, lower >= 0])
+        first, second = np.concatenate(pairs, axis=1)
+        n = len(self.vessel)
+        graph = csr_matrix((np.ones(len(first), dtype=bool), (first, second)), shape=(n, n))
+        _, component = connected_components(graph, directed=False)
+        return (np.bincount(component) > _POCKET * n)[component]
 
     def close_mirror_plane(self) -> bool:
         """Whether the vessel is its own mirror image in z; if so, its halves are cut apart."""
@@ -174,11 +179,15 @@ class VesselFrame:
         """The interval, from `start` to `end` (s), that consists of some steps.
 
         goal       -- the fill (m^3, flat) to end with, if it is known
-        everywhere -- let the correction reach the whole bed, not just where it flows
+        everywhere -- let the correction pass through any cell of the vessel
         """
         draft = self._draft(steps, goal, everywhere)
         lateral = (draft.across,) if self.grid.dimension == 2 else (draft.across, 2)
-        wet = (draft.before > 0) | (draft.after > 0) | (draft.weight > 0).any(axis=0)
+        wet = (draft.before > 0) | (draft.after > 0) | everywhere
+        for row, axis in enumerate(lateral):  # a face may be wet for a part of the interval
+            passed = np.flatnonzero(draft.weight[row] > 0)
+            stride = int(np.prod(self.counts[:axis]))
+            wet[passed] = wet[self._index[draft.cells[passed] - stride]] = True
         below = self._neighbours(draft.cells, draft.along, wet)
         beside = tuple(self._neighbours(draft.cells, axis, wet) for axis in lateral)
         self._index[draft.cells] = -1
@@ -187,13 +196,14 @@ class VesselFrame:
         for row, other in enumerate(beside):
             passes = np.flatnonzero((draft.flux[row] != 0) & (other >= 0))
             used[passes] = used[other[passes]] = True
-        for _ in range(_GROWTH):
+        for rings in _FARTHER if everywhere else _GROWTH:
             segments = find_segments(below, beside, used)
             unbalanced = self._unbalanced(draft, segments, exact=goal is not None)
             stuck = float(np.abs(draft.after - draft.before)[unbalanced].sum())
             if not unbalanced.any() or (goal is None and stuck < _SLIVERS * self.volume):
                 break
-            _grow(used, unbalanced, (below, *beside))
+            for _ in range(rings):
+                _grow(used, unbalanced, (below, *beside))
         if unbalanced.any():
             if goal is not None and not everywhere:
                 return self.advance(steps, start, end, goal, everywhere=True)
@@ -215,7 +225,7 @@ class VesselFrame:
         if goal is not None:
             cells = np.union1d(cells, np.flatnonzero(np.abs(goal - self.fill) > 0))
         if everywhere:
-            cells = np.union1d(cells, np.flatnonzero(self.fill > 0))
+            cells = self.vessel
         n = len(cells)
         draft = Draft(
             cells,
@@ -245,6 +255,8 @@ class VesselFrame:
                 draft.weight,
             )
             add_layer_shear(layer, phase, share, cells, *where, draft.shear, draft.motion)
+        # rounding is no flux: it would tell a cell from its mirror image
+        draft.flux[np.abs(draft.flux) < 1e-9 * np.abs(draft.flux).max(initial=0.0)] = 0.0
         return draft
 
     def _volumes(
@@ -256,10 +268,11 @@ class VesselFrame:
         room = self._room(draft.cells[used], draft.after[used])
         gained = draft.after[used] - draft.before[used]
         n = segments.components
-        excess = np.bincount(component, gained, n).astype(float)
-        if n:  # the sum over very many cells, without rounding
-            largest = int(np.bincount(component).argmax())
-            excess[largest] = math.fsum(gained[component == largest])
+        # in extended precision: a fill and a flux must agree in a cell, whatever the bed holds
+        order = np.argsort(component, kind="stable")
+        starts = np.searchsorted(component[order], np.arange(n))
+        wide = gained[order].astype(np.longdouble)
+        excess = (np.add.reduceat(wide, starts) if n else np.zeros(0)).astype(float)
         return component, room, excess, np.bincount(component, room, n).astype(float)
 
     def _unbalanced(self, draft: Draft, segments: Segments, exact: bool) -> BoolArray:
@@ -425,11 +438,12 @@ def _apertures(wall: FloatArray) -> FloatArray:
 
 
 def _grow(used: BoolArray, seeds: BoolArray, below: tuple[IntArray, ...]) -> None:
-    """Mark as used what lies beyond an open face from the seeds."""
+    """Mark as used, and as seeds, what lies beyond an open face from the seeds."""
     for other in below:
         here = np.flatnonzero(other >= 0)
-        reached = seeds[here] | seeds[other[here]]
-        used[here[reached]] = used[other[here[reached]]] = True
+        here = here[seeds[here] | seeds[other[here]]]
+        used[here] = used[other[here]] = True
+        seeds[here] = seeds[other[here]] = True
 
 
 def _moves(steps: Sequence[BedStep], still: float) -> BoolArray:
@@ -470,10 +484,13 @@ def _candidates(
         low = min(d0, d1) - margin
         if held == capacity[cell] and low > first.thickest and low > last.thickest:
             continue
-        k = min(max(int((z - first.z0) / first.dz) // 2, 0), moves.shape[1] - 1)
+        # a cell between two columns counts for both, so that mirror images stay so
+        t = 0.5 * (z - first.z0) / first.dz
+        k0 = min(max(int(t - 1e-6), 0), moves.shape[1] - 1)
+        k1 = min(max(int(t + 1e-6), 0), moves.shape[1] - 1)
         i0 = min(max(int((x0 - first.x0) / first.dx) // 2, 0), moves.shape[0] - 1)
         i1 = min(max(int((x1 - first.x0) / first.dx) // 2, 0), moves.shape[0] - 1)
-        if not (moves[i0, k] or moves[i1, k]):
+        if not (moves[i0, k0] or moves[i1, k0] or moves[i0, k1] or moves[i1, k1]):
             continue
         thickness = max(layer_at(first, x0, z)[2], layer_at(last, x1, z)[2])
         if held == capacity[cell] and low > thickness:

@@ -157,7 +157,7 @@ def test_half_of_a_symmetric_vessel_equals_the_whole(monkeypatch):
         assert peak > 0
         assert np.abs(one[2][layers]).max() == 0.0  # nothing crosses the plane of symmetry
         for faces, others in zip(one[:2], other[:2], strict=True):
-            assert np.abs(faces - faces[::-1]).max() < 2e-3 * peak
+            assert np.abs(faces - faces[::-1]).max() < 1e-6 * peak
             assert np.abs(faces - others).sum() < 0.02 * np.abs(faces).sum()
 
 
