@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from scaleup import units
 from scaleup.closed_surface import ClosedSurface
+from scaleup.compact_intervals import CompactInterval, CompactIntervals, runs_of_cells
 from scaleup.conservative_bed import BRIDGE, ConservativeBed, runs_of
-from scaleup.cut_cells import cut_fraction, fill_to_volume
+from scaleup.cut_cells import cut_fraction, cut_fraction_of_cells, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
 from scaleup.explicit_transport import ExplicitBackend, ExplicitTransport
 from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
@@ -31,7 +32,13 @@ from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
-from scaleup.vessel_shape import froude_number, level_height, require_drum
+from scaleup.vessel_shape import (
+    froude_number,
+    is_circle,
+    level_height,
+    require_drum,
+    require_rolling,
+)
 
 if TYPE_CHECKING:
     from scaleup.decomposition import Decomposition
@@ -43,6 +50,8 @@ __all__ = [
     "Axis",
     "BoolArray",
     "ClosedSurface",
+    "CompactInterval",
+    "CompactIntervals",
     "ConservativeBed",
     "ContractError",
     "Diffusion",
@@ -68,15 +77,19 @@ __all__ = [
     "RunError",
     "Scene",
     "cut_fraction",
+    "cut_fraction_of_cells",
     "fill_to_volume",
     "fit_stream_function",
     "flow_from_stream_function",
     "froude_number",
     "grid_over",
     "interval_from_dense",
+    "is_circle",
     "level_height",
     "require_drum",
+    "require_rolling",
     "runs_of",
+    "runs_of_cells",
     "spread_outwards",
     "units",
 ]

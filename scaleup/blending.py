@@ -18,7 +18,7 @@ from scaleup.config import RunConfig
 from scaleup.decomposition import Decomposition
 from scaleup.diffusion_tensor import diffusion_tensor
 from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray, IntArray
+from scaleup.grid import FloatArray
 from scaleup.loading import initial_concentration
 from scaleup.metrics import Sampler, centre_line
 from scaleup.progress import Reporter
@@ -85,7 +85,7 @@ def mix(
         blend = Blend(**{**state["blend"], "ledger": Ledger(**state["blend"]["ledger"])})
         log.info("resumed at revolution %.3f", points[first])
     backend = config.plugin("mixing")
-    split = Decomposition(flow.grid, _ever_active(flow), comm, halo=backend.halo)
+    split = Decomposition(flow.grid, flow.ever_active(), comm, halo=backend.halo)
     tensor = partial(_tensor, flow=flow, config=config)
     grain = config.material.grain_diameter
     scene = MixingScene(flow, config.diffusion, grain, split, tensor, force)
@@ -176,10 +176,3 @@ def _curve_points(config: RunConfig) -> list[float]:
 def _is_snapshot(config: RunConfig, revolution: float, number: int, count: int) -> bool:
     turns = revolution / config.output.snapshots_every
     return number in (0, count - 1) or abs(turns - round(turns)) < 1e-6
-
-
-def _ever_active(flow: FlowField) -> IntArray:
-    active = np.zeros(flow.grid.cells, dtype=bool)
-    for interval in flow.intervals:
-        active[interval.cells] = True
-    return np.flatnonzero(active)

@@ -7,13 +7,14 @@ bed clipped by `min(bed, vessel)` never holds more than the vessel does.
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from scipy.optimize import brentq
 
 from scaleup.errors import InputError
-from scaleup.grid import FloatArray, Grid
+from scaleup.grid import FloatArray, Grid, IntArray
 
 
 def cut_fraction(corner_values: FloatArray) -> FloatArray:
@@ -24,24 +25,38 @@ def cut_fraction(corner_values: FloatArray) -> FloatArray:
     """
     dimension = corner_values.ndim
     shape = tuple(n - 1 for n in corner_values.shape)
-    corners = {
-        offset: corner_values[tuple(slice(o, o + n) for o, n in zip(offset, shape, strict=True))]
-        for offset in product((0, 1), repeat=dimension)
-    }
-    low = np.minimum.reduce(list(corners.values()))
-    high = np.maximum.reduce(list(corners.values()))
+    corners = [
+        corner_values[tuple(slice(o, o + n) for o, n in zip(offset, shape, strict=True))]
+        for offset in product((0, 1), repeat=dimension)  # the last array axis, x, is fastest
+    ]
+    low = np.minimum.reduce(corners)
+    high = np.maximum.reduce(corners)
     fraction: FloatArray = (low > 0).astype(float)
     cut = (low <= 0) & (high > 0)
-    if not cut.any():
-        return fraction
-    at_corner = {offset: values[cut] for offset, values in corners.items()}
-    total = np.zeros(int(cut.sum()))
-    simplices = _simplices(dimension)
-    for simplex in simplices:
-        vertices = [np.mean([at_corner[o] for o in group], axis=0) for group in simplex]
-        total += _positive_share(np.stack(vertices))
-    fraction[cut] = total / len(simplices)
+    if cut.any():
+        fraction[cut] = cut_fraction_of_cells(np.stack([v[cut] for v in corners], axis=-1))
     return fraction
+
+
+def cut_fraction_of_cells(corners: FloatArray) -> FloatArray:
+    """`cut_fraction` of single cells, shape (n,), from their corner values (n, 2^dimension).
+
+    Corners are numbered with x fastest: corner 1 is that at greater x, corner 2 at greater y.
+    """
+    from scaleup.cut_kernel import fractions  # loads numba
+
+    corners = np.ascontiguousarray(corners, dtype=float)
+    cut: FloatArray = fractions(corners, *_tables(corners.shape[1].bit_length() - 1))
+    return cut
+
+
+@lru_cache(maxsize=2)
+def _tables(dimension: int) -> tuple[IntArray, IntArray]:
+    from scaleup.cut_kernel import lattice_corners, simplices
+
+    if dimension not in (2, 3):
+        raise ValueError(f"cells of dimension {dimension} cannot be cut; use 2 or 3")
+    return lattice_corners(dimension), simplices(dimension)
 
 
 def fill_to_volume(
@@ -72,65 +87,3 @@ def fill_to_volume(
     result = fill(high)
     # The root is known to its last digits; what is left is a rounding of the sum.
     return np.minimum(result * (volume / result.sum()), grid.cell_volume), high
-
-
-def _simplices(dimension: int) -> list[list[list[tuple[int, ...]]]]:
-    """Simplices of the unit cube, each vertex the mean of a face of it (a list of corners)."""
-    if dimension not in (2, 3):
-        raise ValueError(f"cells of dimension {dimension} cannot be cut; use 2 or 3")
-    every = list(product((0, 1), repeat=dimension))
-    result = []
-    for order in permutations(range(dimension)):
-        for signs in every:
-            # centre of the cell -> of a facet -> ... -> a corner: the barycentric subdivision
-            fixed: dict[int, int] = {}
-            flag = [every]
-            for axis in order:
-                fixed[axis] = signs[axis]
-                flag.append([c for c in every if all(c[a] == s for a, s in fixed.items())])
-            result.append(flag)
-    return result
-
-
-def _positive_share(values: FloatArray) -> FloatArray:
-    """Share of a simplex where the linear function with the given vertex values is positive.
-
-    values -- shape (dimension + 1, n). The part cut off at vertex a is the product over the other
-    vertices b of a/(a - b); two positive vertices of a tetrahedron use the difference of two such.
-    """
-    v = np.sort(values, axis=0)[::-1]
-    tiny = 1e-300
-    n_vertices = len(v)
-    positive = (v > 0).sum(axis=0)
-
-    def corner(i: int) -> FloatArray:
-        share = np.ones(v.shape[1])
-        with np.errstate(over="ignore"):  # where v[i] == v[j] the share is not used
-            for j in range(n_vertices):
-                if j != i:
-                    share *= v[i] / np.where(v[i] == v[j], tiny, v[i] - v[j])
-        return share
-
-    share = np.where(positive == n_vertices, 1.0, 0.0)
-    one = positive == 1
-    share[one] = corner(0)[one]
-    last = (positive == n_vertices - 1) & (positive > 1)
-    share[last] = 1.0 - corner(n_vertices - 1)[last]
-    if n_vertices == 4:
-        two = positive == 2
-        share[two] = _two_positive(v[:, two])
-    clipped: FloatArray = np.clip(share, 0.0, 1.0)
-    return clipped
-
-
-def _two_positive(v: FloatArray) -> FloatArray:
-    """Positive share of a tetrahedron with values a >= b > 0 >= c >= d.
-
-    The wedge is cut into three tetrahedra along its edges; written without the difference a - b,
-    which may vanish.
-    """
-    a, b, c, d = v
-    ac, ad, bc, bd = a / (a - c), a / (a - d), b / (b - c), b / (b - d)
-    # vertices A, B, and the cuts on AC, AD, BC, BD: tets (A,B,bc,bd), (A,ac,ad,bd), (A,ac,bc,bd)
-    share: FloatArray = bc * bd + ac * ad * (1 - bd) + ac * bd * (1 - bc)
-    return share

@@ -13,10 +13,11 @@ Schemes that use fills and fluxes are conservative and bounded by construction; 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -109,6 +110,56 @@ class Interval:
         return spread_outwards(grid, full, np.stack(known), self.cells)
 
 
+class IntervalSequence(Sequence[Interval]):
+    """Intervals that know their times and active cells without being built one by one."""
+
+    @property
+    @abstractmethod
+    def times(self) -> FloatArray:
+        """Boundaries, s, shape (K + 1,)."""
+
+    @abstractmethod
+    def mark_active(self, active: BoolArray) -> None:
+        """Set the flag (one per grid cell) of every cell that is active in any interval."""
+
+
+class _Coarsened(IntervalSequence):
+    """Intervals summed onto a coarser grid when asked for; the last one is kept."""
+
+    def __init__(self, flow: FlowField, factor: int):
+        self._flow, self._factor = flow, factor
+        self._last: tuple[int, Interval] | None = None
+
+    @property
+    def times(self) -> FloatArray:
+        return self._flow.times
+
+    def __len__(self) -> int:
+        return len(self._flow.intervals)
+
+    @overload
+    def __getitem__(self, index: int) -> Interval: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Interval]: ...
+    def __getitem__(self, index: int | slice) -> Interval | Sequence[Interval]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        number = index % len(self)
+        if self._last is None or self._last[0] != number:
+            part = self._flow.intervals[number]
+            self._last = number, _coarsened(part, self._flow.grid, self._factor)
+        return self._last[1]
+
+    def mark_active(self, active: BoolArray) -> None:
+        grid = self._flow.grid
+        coarse = grid.coarsened(self._factor)
+        position = np.unravel_index(self._flow.ever_active(), grid.shape)
+        target = np.ravel_multi_index(tuple(p // self._factor for p in position), coarse.shape)
+        active[target] = True
+
+
 @dataclass(frozen=True)
 class FlowField:
     """A flow through time: a start-up prefix, then a part that repeats (or is steady).
@@ -120,7 +171,7 @@ class FlowField:
     lift             -- rad, how far the settled level bed has been turned rigidly before the
                         first interval begins (a steady lab-frame bed is reached that way)
     intervals        -- K intervals, contiguous in time; any sequence, so that they can be read
-                        one by one from a file
+                        one by one from a file (`CompactIntervals`)
     prefix           -- how many of them are start-up; the others repeat for ever (none: the flow
                         ends with its prefix)
     summary          -- figures that the flow model states of itself (surface angle, ...)
@@ -140,8 +191,20 @@ class FlowField:
     @cached_property
     def times(self) -> FloatArray:
         """Interval boundaries, s, shape (K + 1,)."""
+        if isinstance(self.intervals, IntervalSequence):
+            return self.intervals.times
         first = [interval.start for interval in self.intervals]
         return np.array([*first, self.intervals[len(self.intervals) - 1].end])
+
+    def ever_active(self) -> IntArray:
+        """Flat indices, ascending, of all cells that are active in any interval."""
+        active = np.zeros(self.grid.cells, dtype=bool)
+        if isinstance(self.intervals, IntervalSequence):
+            self.intervals.mark_active(active)
+        else:
+            for interval in self.intervals:
+                active[interval.cells] = True
+        return np.flatnonzero(active)
 
     @property
     def period(self) -> float:
@@ -203,7 +266,7 @@ class FlowField:
             frame=self.frame,
             axis=self.axis,
             angular_velocity=self.angular_velocity,
-            intervals=[_coarsened(part, self.grid, factor) for part in self.intervals],
+            intervals=_Coarsened(self, factor),
             lift=self.lift,
             prefix=self.prefix,
             summary=self.summary,

@@ -13,7 +13,7 @@ import importlib.util
 import inspect
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -22,15 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scaleup
+from scaleup.compact_intervals import CompactInterval, CompactIntervals
 from scaleup.errors import InputError, RunError
 from scaleup.files import replacing, write_text
 from scaleup.flow_field import Axis, FlowField, Interval
 from scaleup.grid import FloatArray, Grid
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _FLOW_MODULES = (
     "closed_surface",
+    "compact_intervals",
     "cut_cells",
+    "cut_kernel",
     "flow_field",
     "grid",
     "scene",
@@ -45,6 +48,7 @@ _UNITS = {
     "flux": "m^3/s",
     "shear_rate": "1/s",
     "direction": "1",
+    "still": "1",
 }
 
 
@@ -133,7 +137,7 @@ class PluginMemory:
 
 
 def write_flow(path: Path, flow: FlowField) -> None:
-    """Store a FlowField, interval by interval."""
+    """Store a FlowField, interval by interval; compact intervals stay compact."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["format_version"] = FORMAT_VERSION
@@ -146,11 +150,17 @@ def write_flow(path: Path, flow: FlowField) -> None:
         file.attrs["summary"] = json.dumps(dict(flow.summary))
         file.attrs["warnings"] = json.dumps(flow.warnings)
         _write_grid(file, flow.grid)
-        for number, interval in enumerate(flow.intervals):
+        file.create_dataset("times", data=flow.times).attrs["unit"] = "s"
+        parts: Iterable[CompactInterval] = map(CompactInterval.of, flow.intervals)
+        if isinstance(flow.intervals, CompactIntervals):
+            parts = flow.intervals.parts
+            if flow.intervals.capacity is not None:
+                capacity = file.create_dataset("capacity", data=flow.intervals.capacity)
+                capacity.attrs["unit"] = "m^3"
+        for number, part in enumerate(parts):
             group = file.create_group(f"intervals/{number:06d}")
-            group.attrs["start"], group.attrs["end"] = interval.start, interval.end
             for name, unit in _UNITS.items():
-                group.create_dataset(name, data=getattr(interval, name)).attrs["unit"] = unit
+                group.create_dataset(name, data=getattr(part, name)).attrs["unit"] = unit
 
 
 def read_flow(path: Path) -> FlowField:
@@ -158,12 +168,14 @@ def read_flow(path: Path) -> FlowField:
     with h5py.File(path, "r") as file:
         if file.attrs.get("format_version") != FORMAT_VERSION:
             raise RunError(f"{path} is of another format version; delete it and solve again")
+        times = np.asarray(file["times"])
+        capacity = np.asarray(file["capacity"]) if "capacity" in file else None
         return FlowField(
             grid=_read_grid(file),
             frame=file.attrs["frame"],
             axis=Axis(tuple(file.attrs["axis_point"]), tuple(file.attrs["axis_direction"])),
             angular_velocity=float(file.attrs["angular_velocity"]),
-            intervals=_StoredIntervals(path, len(file["intervals"])),
+            intervals=CompactIntervals(_StoredParts(path, times), times, capacity),
             lift=float(file.attrs["lift"]),
             prefix=int(file.attrs["prefix"]),
             summary=json.loads(file.attrs["summary"]),
@@ -171,33 +183,28 @@ def read_flow(path: Path) -> FlowField:
         )
 
 
-class _StoredIntervals(Sequence[Interval]):
-    """Intervals in a file; the last one read is kept in memory."""
+class _StoredParts(Sequence[CompactInterval]):
+    """Compact intervals in a file, read when asked for."""
 
-    def __init__(self, path: Path, count: int):
-        self._path, self._count = path, count
-        self._last: tuple[int, Interval] | None = None
+    def __init__(self, path: Path, times: FloatArray):
+        self._path, self._times = path, times
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._times) - 1
 
     @overload
-    def __getitem__(self, index: int) -> Interval: ...
+    def __getitem__(self, index: int) -> CompactInterval: ...
     @overload
-    def __getitem__(self, index: slice) -> Sequence[Interval]: ...
-    def __getitem__(self, index: int | slice) -> Interval | Sequence[Interval]:
+    def __getitem__(self, index: slice) -> Sequence[CompactInterval]: ...
+    def __getitem__(self, index: int | slice) -> CompactInterval | Sequence[CompactInterval]:
         if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(self._count))]
-        if not -self._count <= index < self._count:
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if not 0 <= index < len(self):
             raise IndexError(index)
-        number = index % self._count
-        if self._last is None or self._last[0] != number:
-            with h5py.File(self._path, "r") as file:
-                group = file[f"intervals/{number:06d}"]
-                arrays: dict[str, Any] = {name: np.asarray(group[name]) for name in _UNITS}
-                times = float(group.attrs["start"]), float(group.attrs["end"])
-            self._last = number, Interval(*times, **arrays)
-        return self._last[1]
+        with h5py.File(self._path, "r") as file:
+            group = file[f"intervals/{index:06d}"]
+            arrays: dict[str, Any] = {name: np.asarray(group[name]) for name in _UNITS}
+        return CompactInterval(float(self._times[index]), float(self._times[index + 1]), **arrays)
 
 
 class Results:

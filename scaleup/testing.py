@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from scaleup.compact_intervals import CompactInterval, CompactIntervals, cells_of_runs
 from scaleup.cut_cells import cut_fraction
 from scaleup.errors import ContractError, InputError
-from scaleup.flow_field import FlowField
+from scaleup.flow_field import FlowField, Interval
 from scaleup.grid import FloatArray, Grid, grid_over
 from scaleup.vessel_shape import axis_meets, symmetry
 
@@ -25,86 +27,128 @@ def check_flow(flow: FlowField, geometry: Any = None, fill_volume: float | None 
     volume of the cell (of the whole cell without `geometry`); 5 the
     total is `fill_volume`; 6 no flux touches an inactive cell or the edge of the grid; 7
     directions are unit vectors or zero, shear rates >= 0, all numbers finite.
+
+    Resting cells of compact intervals are as full as the vessel lets them be: they need no look.
     """
     grid = flow.grid
     capacity = np.full(grid.cells, grid.cell_volume)
     if geometry is not None:
         wall = geometry.signed_distance(grid.corner_points())
         capacity = (cut_fraction(wall) * grid.cell_volume).ravel()
-    slack = _ROUND_OFF * grid.cell_volume
-    previous = None
-    for number, part in enumerate(flow.intervals):
-        where = f"interval {number}"
-        if len(part.cells) == 0 or np.any(np.diff(part.cells) <= 0):
+    checker = _FlowChecker(grid, capacity, fill_volume)
+    if isinstance(flow.intervals, CompactIntervals):
+        parts: Sequence[CompactInterval] = flow.intervals.parts
+        resting = flow.intervals.capacity
+        if resting is not None and np.abs(resting - capacity).max() > _ROUND_OFF * grid.cell_volume:
+            raise ContractError("capacity must be the vessel's volume in each cell")
+    else:
+        parts = _Compacted(flow.intervals)
+    first = None
+    for number in range(len(parts)):
+        part = parts[number]
+        checker.check(part, f"interval {number}")
+        if number == flow.prefix:
+            first = part
+    if first is not None:
+        checker.check_joined(first, "the periodic part", wrap=True)
+
+
+class _Compacted(Sequence[CompactInterval]):
+    def __init__(self, intervals: Sequence[Interval]):
+        self._intervals = intervals
+
+    def __len__(self) -> int:
+        return len(self._intervals)
+
+    def __getitem__(self, index: Any) -> Any:
+        return CompactInterval.of(self._intervals[index])
+
+
+class _FlowChecker:
+    """Checks one interval after the other; remembers how the last one ended."""
+
+    def __init__(self, grid: Grid, capacity: FloatArray, fill_volume: float | None):
+        self._grid, self._capacity, self._fill_volume = grid, capacity, fill_volume
+        self._slack = _ROUND_OFF * grid.cell_volume
+        self._index = np.full(grid.cells, -1, dtype=np.int64)
+        self._end: tuple[float, FloatArray] | None = None
+
+    def check(self, part: CompactInterval, where: str) -> None:
+        grid, duration = self._grid, part.end - part.start
+        resting = cells_of_runs(part.still)
+        if len(part.cells) + len(resting) == 0 or np.any(np.diff(part.cells) <= 0):
             raise ContractError(f"{where}: cells must be ascending and not empty")
-        if part.duration <= 0:
+        if duration <= 0:
             raise ContractError(f"{where}: must last longer than 0 s")
         for name in ("fill_start", "fill_end", "flux", "shear_rate", "direction"):
             if not np.all(np.isfinite(getattr(part, name))):
                 raise ContractError(f"{where}: {name} has values that are not finite")
-        _check_closed(flow, number)
-        scale = max(grid.cell_volume, part.duration * float(np.abs(part.flux).max(initial=0.0)))
-        gap = part.fill_end - part.fill_start + part.duration * part.outflow(grid)
+        scale = max(grid.cell_volume, duration * float(np.abs(part.flux).max(initial=0.0)))
+        gap = part.fill_end - part.fill_start + duration * self._outflow(part, where)
         # a steady part holds for ever, so its divergence is judged against the fluxes alone
-        if float(np.abs(gap).max()) > _ROUND_OFF * scale:
+        if float(np.abs(gap).max(initial=0.0)) > _ROUND_OFF * scale:
             raise ContractError(
                 f"{where}: fill and flux disagree by {np.abs(gap).max() / grid.cell_volume:.2g} of "
                 "a cell; fill_end must be fill_start - dt div(flux)"
             )
+        rest = float(self._capacity[resting].sum())
         for fill in (part.fill_start, part.fill_end):
-            low, over = float(fill.min()), float((fill - capacity[part.cells]).max())
-            if low < -slack or over > slack:
+            low = float(fill.min(initial=0.0))
+            over = float((fill - self._capacity[part.cells]).max(initial=0.0))
+            if low < -self._slack or over > self._slack:
                 raise ContractError(
                     f"{where}: fill must lie in [0, vessel volume of the cell]; it is below by "
                     f"{max(0.0, -low) / grid.cell_volume:.2g} or above by "
                     f"{max(0.0, over) / grid.cell_volume:.2g} of a cell"
                 )
-            if fill_volume is not None:
-                drift = float(fill.sum() / fill_volume - 1.0)
+            if self._fill_volume is not None:
+                drift = (float(fill.sum()) + rest) / self._fill_volume - 1.0
                 if abs(drift) > _ROUND_OFF:
                     raise ContractError(f"{where}: the fill is off by {drift:.2g} of the bed")
         if np.any(part.shear_rate < 0):
             raise ContractError(f"{where}: shear_rate must not be negative")
         length = np.linalg.norm(part.direction, axis=0)
-        if np.any((np.abs(length - 1.0) > 1e-9) & (length > 1e-9)):
+        exact = 1e-9 if part.direction.dtype == np.float64 else 1e-5
+        if np.any((np.abs(length - 1.0) > exact) & (length > exact)):
             raise ContractError(f"{where}: direction must be unit vectors or zero")
-        if previous is not None:
-            _check_joined(grid, previous, part, where)
-        previous = part
-    if previous is not None and flow.prefix < len(flow.intervals):
-        _check_joined(grid, previous, flow.intervals[flow.prefix], "the periodic part", wrap=True)
+        if self._end is not None:
+            self.check_joined(part, where)
+        ends = np.zeros(grid.cells)
+        ends[resting] = self._capacity[resting]
+        ends[part.cells] = part.fill_end
+        self._end = part.end, ends
 
-
-def _check_closed(flow: FlowField, number: int) -> None:
-    """Every face with flux lies between two active cells."""
-    part, grid = flow.intervals[number], flow.grid
-    active = np.zeros(grid.cells, dtype=bool)
-    active[part.cells] = True
-    active = active.reshape(grid.shape)
-    for axis, faces in enumerate(part.face_fluxes(grid)):
-        along = grid.array_axis(axis)
-        inner = np.take(faces, range(1, grid.shape[along]), along)
-        both = np.take(active, range(1, grid.shape[along]), along) & np.take(
-            active, range(grid.shape[along] - 1), along
-        )
-        leak = max(
-            float(np.abs(np.where(both, 0.0, inner)).max(initial=0.0)),
-            float(np.abs(np.take(faces, 0, along)).max(initial=0.0)),
-        )
+    def _outflow(self, part: CompactInterval, where: str) -> FloatArray:
+        """div(flux) of each cell, m^3/s; every face with flux must lie between two of them."""
+        grid, cells = self._grid, part.cells.astype(np.int64)
+        self._index[cells] = np.arange(len(cells))
+        total = np.zeros(len(cells))
+        leak = 0.0
+        for axis in range(grid.dimension):
+            flux, stride = part.flux[axis], math.prod(grid.counts[:axis])
+            place = cells // stride % grid.counts[axis]
+            lower = np.where(place > 0, self._index[cells - stride], -1)
+            leak = max(leak, float(np.abs(flux[lower < 0]).max(initial=0.0)))
+            total -= flux
+            total += np.bincount(lower[lower >= 0], flux[lower >= 0], len(cells))
+        self._index[cells] = -1
         if leak > 0:
-            raise ContractError(
-                f"interval {number}: a flux of {leak:.2g} m^3/s leaves the bed along axis {axis}"
-            )
+            raise ContractError(f"{where}: a flux of {leak:.2g} m^3/s leaves the bed")
+        return total
 
-
-def _check_joined(grid: Grid, before: Any, after: Any, where: str, wrap: bool = False) -> None:
-    if not wrap and before.end != after.start:
-        raise ContractError(f"{where}: starts at {after.start:g} s, not at {before.end:g} s")
-    ends, starts = np.zeros(grid.cells), np.zeros(grid.cells)
-    ends[before.cells], starts[after.cells] = before.fill_end, after.fill_start
-    jump = float(np.abs(ends - starts).max()) / grid.cell_volume
-    if jump > 1e-9:
-        raise ContractError(f"{where}: the fill jumps by {jump:.2g} of a cell where it joins")
+    def check_joined(self, part: CompactInterval, where: str, wrap: bool = False) -> None:
+        """An interval begins when and as the last one that was checked ended."""
+        assert self._end is not None
+        end, ends = self._end
+        if not wrap and end != part.start:
+            raise ContractError(f"{where}: starts at {part.start:g} s, not at {end:g} s")
+        resting = cells_of_runs(part.still)
+        difference = ends.copy()
+        difference[resting] -= self._capacity[resting]
+        difference[part.cells] -= part.fill_start
+        jump = float(np.abs(difference).max()) / self._grid.cell_volume
+        if jump > 1e-9:
+            raise ContractError(f"{where}: the fill jumps by {jump:.2g} of a cell where it joins")
 
 
 def check_geometry(geometry: Any) -> None:

@@ -85,6 +85,11 @@ def require_drum(flow: str, geometry: Any, speed: float, froude_below: float) ->
             f"flow.name = {flow!r}: holds for a circular cross-section about the axis (such as "
             "geometry 'drum') only"
         )
+    require_rolling(flow, geometry, speed, froude_below)
+
+
+def require_rolling(flow: str, geometry: Any, speed: float, froude_below: float) -> None:
+    """Raise InputError if the vessel turns so fast that its bed would not roll."""
     froude = froude_number(geometry, speed)
     if froude >= froude_below:
         raise InputError(

@@ -11,7 +11,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FLOORS = [
     {"errors", "files", "ledger", "__init__"},
     {"grid", "units", "launch"},
-    {"spread", "cut_cells", "closed_surface", "merged_cells", "flux_kernels"},
+    {"spread", "cut_kernel", "merged_cells", "flux_kernels"},
+    {"cut_cells", "closed_surface"},
     {"flow_field", "scene", "parallel", "decomposition", "progress", "loading_file"},
     {
         "stream_function",
@@ -20,6 +21,7 @@ FLOORS = [
         "vessel_shape",
         "sample_flows",
         "conservative_bed",
+        "compact_intervals",
     },
     {"flux_correction", "step_guard"},
     {"explicit_transport"},

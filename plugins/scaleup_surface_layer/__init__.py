@@ -13,9 +13,13 @@ from scaleup.api import (
     PluginOptions,
     Progress,
     Scene,
+    is_circle,
     require_drum,
+    require_rolling,
     units,
 )
+
+_CENTRIFUGES = 0.5  # Froude number from which a bed does not roll
 
 
 class SurfaceLayer:
@@ -38,17 +42,40 @@ class SurfaceLayer:
         thickness: units.Length | None = None
         """m at mid-bed, for closure "parabolic"; default: as "shear-rate" gives it there"""
 
+        model: Literal["auto", "closed-form", "general"] = "auto"
+        """"closed-form": the drum's steady bed; "general": any vessel, periodic, in its own frame;
+        "auto": the closed form where it holds"""
+        intervals: Annotated[int, Field(ge=8, le=3600)] | None = None
+        """general: per revolution; default 120, more where the rim turns by over 4 cells in one"""
+        steps_per_interval: Annotated[int, Field(ge=1, le=64)] = 2
+        """general: steps of the bed's surface in an interval"""
+        column_spacing: units.Length | None = None
+        """general: m, of the lab columns; default 1.5 cells, up to 72 columns across (2-D: 288)"""
+        slope_excess: Annotated[float, Field(gt=0, le=0.2)] = 0.01
+        """general: share by which the slope exceeds tan(phi) at a flux of omega R^2/2"""
+
     def __init__(self, options: Options):
         self.options = options
 
     def check(self, geometry: Geometry, speed: float) -> None:
-        """The closed form is that of a rolling bed in a circular cross-section."""
-        require_drum("surface-layer", geometry, speed, froude_below=0.5)
+        """The closed form is that of a rolling bed in a circle; no bed may centrifuge."""
+        if self._closed(geometry):
+            require_drum("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
+        require_rolling("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
 
     def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
-        """See `closed_form.drum_flow`; takes no time worth storing parts of."""
-        from scaleup_surface_layer.closed_form import drum_flow
+        """See `closed_form.drum_flow` and `general.general_flow`."""
+        if self._closed(scene.geometry):
+            from scaleup_surface_layer.closed_form import drum_flow
 
-        field = drum_flow(scene, self.options)
-        progress(1.0, "surface layer in closed form")
-        return field
+            field = drum_flow(scene, self.options)
+            progress(1.0, "surface layer in closed form")
+            return field
+        from scaleup_surface_layer.general import general_flow
+
+        return general_flow(scene, self.options, progress)
+
+    def _closed(self, geometry: Geometry) -> bool:
+        if self.options.model == "auto":
+            return is_circle(geometry)
+        return self.options.model == "closed-form"

@@ -27,6 +27,7 @@ from scaleup.api import (
     GRAVITY,
     FloatArray,
     FlowField,
+    Material,
     Scene,
     fill_to_volume,
     flow_from_stream_function,
@@ -130,21 +131,25 @@ class RollingBed:
         return np.sqrt(4 * xy**2 + (yy - xx) ** 2) / step**2
 
 
-def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
-    """The bed of a scene: b from the fill, angle atan(mu), closure from the options."""
-    material = scene.material
-    shear_rate = options.shear_rate or math.sqrt(
+def layer_shear_rate(material: Material, options: SurfaceLayer.Options) -> float:
+    """Of the closure, 1/s: as given, or sqrt(g sin(b_m - b_s) / (c d cos b_s)), c = 1.5."""
+    return options.shear_rate or math.sqrt(
         GRAVITY
         * math.sin(options.angle_difference)
         / (1.5 * material.grain_diameter * math.cos(material.friction_angle))
     )
+
+
+def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
+    """The bed of a scene: b from the fill, angle atan(mu), closure from the options."""
+    material = scene.material
     return RollingBed(
         scene.geometry.reach,
         scene.speed,
         -level_height(scene.geometry, scene.fill_volume),  # a circle is as deep at every angle
         math.atan(material.friction),
         options.closure,
-        shear_rate,
+        layer_shear_rate(material, options),
         options.thickness if options.closure == "parabolic" else None,
     )
 

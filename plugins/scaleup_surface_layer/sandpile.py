@@ -1,0 +1,260 @@
+"""The bed's surface under gravity: a flux wherever it is steeper than the friction allows.
+
+In lab columns, h the height of the bed's top, v its volume per area, q the depth-integrated flux
+relative to rigid rotation (Prigozhin's sandpile with a steep law in place of the inequality):
+
+    dv/dt + div q = what rotation brings,    q = -K p(|grad h| - mu) grad h/|grad h|,
+
+p(t) = t for t > 0 (smooth at 0, bounded at the top), K = omega R^2/(2 eps mu), so that the slope
+exceeds mu by the share eps at the flux omega R^2/2. No flux leaves an empty column, enters a full
+one, or passes a closed wall. The gradient lives on column corners, with the mean square of the
+differences that meet there, so that no direction is preferred.
+
+A step is rotation (`rotation`), then relaxation over its duration by one Runge-Kutta-Chebyshev step
+of first order, damped: explicit, with a number of stages that grows as the square root of the
+stiffness. It is written for the flux, of which every stage is a sum, so that volume is kept
+whatever the accuracy; what would empty or overfill a column is cut from the flux at the end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from scaleup.api import FloatArray
+from scaleup_surface_layer.lab_columns import Columns
+from scaleup_surface_layer.turned_vessel import ColumnShape
+
+_DAMPING = 3000.0  # the more, the less a step overshoots; stages grow as its fourth root
+_STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / width^2
+_FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
+_SWEEPS = 200  # over all columns, at most, in which a flux is cut to what they hold
+_FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
+
+
+@dataclass(frozen=True)
+class SlopeLaw:
+    """q = conductance p(slope - friction), m^2/s.
+
+    friction -- mu = tan(phi); conductance -- K, m^2/s; smooth -- slope range over which p sets in
+    greatest -- bound of the flux, m^2/s
+    """
+
+    friction: float
+    conductance: float
+    smooth: float
+    greatest: float
+
+
+def slope_law(friction: float, omega: float, reach: float, excess: float) -> SlopeLaw:
+    """The law for a vessel (reach, m; omega, rad/s); `excess`: eps."""
+    scale = 0.5 * omega * reach**2
+    return SlopeLaw(
+        friction, scale / (excess * friction), 0.5 * excess * friction, _FASTEST * scale
+    )
+
+
+def relax(
+    columns: Columns, shape: ColumnShape, volume: FloatArray, law: SlopeLaw, duration: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Volumes after `duration` (s), and the mean fluxes (nx + 1, nz) and (nx, nz + 1), m^2/s."""
+    flat = columns.nz == 1
+    width = columns.dx if flat else min(columns.dx, columns.dz)
+    passage = _passage(shape.open, shape.low, shape.high, flat)
+    qx, qz = _chebyshev(
+        volume,
+        shape.open,
+        shape.low,
+        shape.high - shape.low,
+        passage,
+        columns.dx,
+        columns.dz,
+        flat,
+        (law.friction, law.conductance, law.smooth, law.greatest),
+        _FILM * width,
+        duration,
+        _stages(_STIFF * law.conductance / width**2 * duration),
+        _DAMPING,
+    )
+    after = _limited(volume, shape.capacity, qx, qz, columns.dx, columns.dz)
+    return after, qx / duration, qz / duration
+
+
+def _stages(stiffness: float) -> int:
+    """Smallest number of stages whose damped Chebyshev polynomial is stable up to `stiffness`."""
+    root = math.sqrt(2 * _DAMPING)
+    return max(2, math.ceil(math.sqrt(stiffness * root / (2 * math.tanh(root)))) + 1)
+
+
+@njit(cache=True)
+def _passage(open_, low, high, flat):
+    """What does not change while the bed relaxes, per face and per corner.
+
+    open_x (nx + 1, nz), open_z (nx, nz + 1) -- open width of faces, 0 to 1
+    share_x, share_z, area -- at corners (nx + 1, nz + 1): one over the number of open faces across
+    x and z that meet there, and the share of a corner's area that lies in the vessel
+    """
+    nx, nz = open_.shape
+    open_x, open_z = np.zeros((nx + 1, nz)), np.zeros((nx, nz + 1))
+    for i in range(1, nx):
+        for k in range(nz):
+            if min(high[i - 1, k], high[i, k]) > max(low[i - 1, k], low[i, k]):
+                open_x[i, k] = min(open_[i - 1, k], open_[i, k])
+    for i in range(nx):
+        for k in range(1, nz):
+            if not flat and min(high[i, k - 1], high[i, k]) > max(low[i, k - 1], low[i, k]):
+                open_z[i, k] = min(open_[i, k - 1], open_[i, k])
+    shape = (nx + 1, nz + 1)
+    share_x, share_z, area = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for i in range(nx + 1):
+        for k in range(nz + 1):
+            a, b = 0, 0
+            for e in range(2):
+                if 0 <= k - 1 + e < nz and open_x[i, k - 1 + e] > 0:
+                    a += 1
+                if 0 <= i - 1 + e < nx and open_z[i - 1 + e, k] > 0:
+                    b += 1
+            share_x[i, k] = 1.0 / a if a else 0.0
+            share_z[i, k] = 1.0 / b if b else 0.0
+            area[i, k] = 0.5 * max(a, b)
+    return open_x, open_z, share_x, share_z, area
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _chebyshev(volume, open_, low, room, passage, dx, dz, flat, law, film, dt, stages, damping):
+    """Time integrals of the fluxes over dt."""
+    nx, nz = volume.shape
+    w0 = 1.0 + damping / stages**2
+    t0, t1, d0, d1 = 1.0, w0, 0.0, 1.0  # T and T' at w0, of two successive degrees
+    values = np.empty(stages + 1)
+    values[0], values[1] = 1.0, w0
+    for j in range(2, stages + 1):
+        t0, t1, d0, d1 = t1, 2 * w0 * t1 - t0, d1, 2 * t1 + 2 * w0 * d1 - d0
+        values[j] = t1
+    w1 = t1 / d1
+    sx, sz = (nx + 1, nz), (nx, nz + 1)
+    x0, x1, x2 = np.zeros(sx), np.zeros(sx), np.zeros(sx)
+    z0, z1, z2 = np.zeros(sz), np.zeros(sz), np.zeros(sz)
+    head, body = np.zeros((nx, nz)), np.zeros((nx, nz))
+    per_open = np.zeros((nx, nz))
+    for i in range(nx):
+        for k in range(nz):
+            if open_[i, k] > 0:
+                per_open[i, k] = 1.0 / open_[i, k]
+    work = (np.zeros(sx), np.zeros(sz), np.zeros(sx), np.zeros(sz), np.zeros((nx + 1, nz + 1)))
+    fx, fz = np.zeros(sx), np.zeros(sz)
+    for j in range(1, stages + 1):
+        # the state that the sums x1, z1 stand for
+        for i in range(nx):
+            for k in range(nz):
+                v = volume[i, k] - (x1[i + 1, k] - x1[i, k]) / dx - (z1[i, k + 1] - z1[i, k]) / dz
+                b = min(max(v * per_open[i, k], 0.0), room[i, k])
+                body[i, k] = b
+                head[i, k] = low[i, k] + b
+        _flux(head, body, room, passage, dx, dz, flat, law, film, work, fx, fz)
+        if j == 1:
+            one, two, step = 1.0, 0.0, w1 / w0 * dt
+        else:
+            one = 2 * w0 * values[j - 1] / values[j]
+            two = -values[j - 2] / values[j]
+            step = 2 * w1 * values[j - 1] / values[j] * dt
+        for i in range(1, nx):
+            for k in range(nz):
+                x2[i, k] = one * x1[i, k] + two * x0[i, k] + step * fx[i, k]
+        x0, x1, x2 = x1, x2, x0
+        if not flat:
+            for i in range(nx):
+                for k in range(1, nz):
+                    z2[i, k] = one * z1[i, k] + two * z0[i, k] + step * fz[i, k]
+            z0, z1, z2 = z1, z2, z0
+    return x1, z1
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _flux(head, body, room, passage, dx, dz, flat, law, film, work, fx, fz):
+    """Fluxes through column faces.
+
+    At a corner the squared slope is the mean over the faces that meet there, each weighted by how
+    freely material follows it (0 from an empty column, into a full one, through a wall).
+    """
+    friction, conductance, smooth, greatest = law
+    open_x, open_z, share_x, share_z, area = passage
+    gx, gz, square_x, square_z, rate = work
+    nx, nz = head.shape
+    for i in range(1, nx):
+        for k in range(nz):
+            drop = (head[i - 1, k] - head[i, k]) / dx
+            down = drop > 0
+            gives = body[i - 1, k] if down else body[i, k]
+            takes = room[i, k] - body[i, k] if down else room[i - 1, k] - body[i - 1, k]
+            free = open_x[i, k] * min(gives / film, 1.0) * min(takes / film, 1.0)
+            gx[i, k] = free * drop
+            square_x[i, k] = free * drop * drop
+    if not flat:
+        for i in range(nx):
+            for k in range(1, nz):
+                drop = (head[i, k - 1] - head[i, k]) / dz
+                down = drop > 0
+                gives = body[i, k - 1] if down else body[i, k]
+                takes = room[i, k] - body[i, k] if down else room[i, k - 1] - body[i, k - 1]
+                free = open_z[i, k] * min(gives / film, 1.0) * min(takes / film, 1.0)
+                gz[i, k] = free * drop
+                square_z[i, k] = free * drop * drop
+    for i in range(nx + 1):
+        for k in range(nz + 1):
+            a = (square_x[i, k - 1] if k > 0 else 0.0) + (square_x[i, k] if k < nz else 0.0)
+            b = (square_z[i - 1, k] if i > 0 else 0.0) + (square_z[i, k] if i < nx else 0.0)
+            slope = np.sqrt(share_x[i, k] * a + share_z[i, k] * b)
+            excess = max(slope - friction, 0.0)
+            ramp = min(excess, smooth)
+            q = conductance * (0.5 * ramp * ramp / smooth + excess - ramp)
+            rate[i, k] = area[i, k] * min(q, greatest) / max(slope, friction)
+    for i in range(1, nx):
+        for k in range(nz):
+            here = share_x[i, k] * rate[i, k] + share_x[i, k + 1] * rate[i, k + 1]
+            fx[i, k] = gx[i, k] * here
+    if not flat:
+        for i in range(nx):
+            for k in range(1, nz):
+                here = share_z[i, k] * rate[i, k] + share_z[i + 1, k] * rate[i + 1, k]
+                fz[i, k] = gz[i, k] * here
+
+
+@njit(cache=True)
+def _limited(volume, capacity, qx, qz, dx, dz):
+    """The volumes that integrated fluxes lead to; fluxes are cut where they would pass a bound."""
+    nx, nz = volume.shape
+    after = np.empty((nx, nz))
+    for _ in range(_SWEEPS):
+        for i in range(nx):
+            for k in range(nz):
+                after[i, k] = (
+                    volume[i, k] - (qx[i + 1, k] - qx[i, k]) / dx - (qz[i, k + 1] - qz[i, k]) / dz
+                )
+        worst = 0.0
+        for i in range(nx):
+            for k in range(nz):
+                over = max(-after[i, k], after[i, k] - capacity[i, k])
+                if over <= 1e-13 * dx:
+                    continue
+                worst = max(worst, over)
+                # the faces through which too much went, out or in
+                sign = 1.0 if after[i, k] < 0 else -1.0
+                a = max(-sign * qx[i, k], 0.0)
+                b = max(sign * qx[i + 1, k], 0.0)
+                c = max(-sign * qz[i, k], 0.0)
+                d = max(sign * qz[i, k + 1], 0.0)
+                total = (a + b) / dx + (c + d) / dz
+                if total <= 0:
+                    continue
+                cut = min(1.0, over / total)
+                qx[i, k] += sign * cut * a
+                qx[i + 1, k] -= sign * cut * b
+                qz[i, k] += sign * cut * c
+                qz[i, k + 1] -= sign * cut * d
+        if worst == 0.0:
+            break
+    return after
