@@ -170,7 +170,7 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
     [
         (["--set", "operation.sped=1"], "operation.sped = 1: unknown key"),
         (["--geometry", "cement-mixer"], "geometry.name = 'cement-mixer': no such geometry"),
-        (["--mixing", "spoon"], "mixing.name = 'spoon': no such mixing; installed are: lax-wen"),
+        (["--mixing", "spoon"], "mixing.name = 'spoon': no such mixing; installed are: finite-v"),
         (["--set", "geometry.diameter=-1 mm"], "geometry.diameter = '-1 mm'"),
         (["--set", "operation.fill.depth_ratio=1.2"], "operation.fill.depth_ratio = 1.2"),
         (["--set", "operation.speed=6 mm"], "operation.speed = '6 mm': wrong unit"),

@@ -32,22 +32,9 @@ class SignedDistanceVessel:
         self.volume = below(self.upper[1])
 
 
-class ClosedDrum(SignedDistanceVessel):
-    """A cylinder with end walls."""
-
-    def __init__(self, radius: float = 0.07, width: float = 0.07):
-        self.radius = self.reach = radius
-        self.width = width
-        self.lower = (-radius, -radius, -width / 2)
-        self.upper = (radius, radius, width / 2)
-        self.volume = math.pi * radius**2 * width
-
-    def signed_distance(self, points):
-        around = self.radius - np.hypot(points[..., 0], points[..., 1])
-        return np.minimum(around, self.width / 2 - np.abs(points[..., 2]))
-
-    def volume_below(self, height):
-        return Drum.volume_below(self, height) * self.width
+def closed_drum() -> Drum:
+    """A cylinder with end walls, half as long as wide."""
+    return Drum(Drum.Options(diameter=0.14, length=0.07))
 
 
 class TiltedBox(SignedDistanceVessel):

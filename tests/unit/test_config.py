@@ -30,7 +30,7 @@ def test_a_run_is_reproduced_by_its_own_file(tmp_path):
     config = compose(
         None,
         ["operation.loading.pattern=region", "operation.loading.centre=['-20 mm', '-50 mm']",
-         "operation.loading.radius=5 mm", "geometry.diameter=0.2", "mixing.form=paper"],
+         "operation.loading.radius=5 mm", "geometry.diameter=0.2", "mixing.courant=0.5"],
         FAST,
     )  # fmt: skip
     file = tmp_path / "config.toml"
@@ -86,7 +86,7 @@ def test_cells_choose_the_spacing():
         ("operation.fill.mass=5", "operation.fill.mass = 5 kg: the vessel holds 0.2309 kg"),
         ("geometry.diameter='-1 mm'", "geometry.diameter = '-1 mm': input should be greater"),
         ("geometry.colour=red", "geometry.colour = 'red': unknown key"),
-        ("mixing.form=upwind", "mixing.form = 'upwind'"),
+        ("mixing.courant=2", "mixing.courant = 2"),
         ("flow.name=magic", "flow.name = 'magic': no such flow; installed are: mohr-coulomb"),
         ("operation.loading=diagonal", "operation.loading.pattern = 'diagonal'"),
         ("operation.loading.radius='1 mm'", "takes no centre and no radius"),

@@ -14,7 +14,7 @@ from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
 from scaleup_surface_layer.sandpile import relax, slope_law
 from scaleup_surface_layer.turned_vessel import ColumnShape
 from scaleup_surface_layer.vessel_frame import VesselFrame
-from vessels import ClosedDrum, TiltedBox, Vee
+from vessels import TiltedBox, Vee, closed_drum
 
 SPEED = 2 * math.pi / 10
 PHI = math.radians(23.6)
@@ -114,7 +114,7 @@ def test_general_model_converges_to_the_closed_form_of_the_drum():
     assert not flow.warnings
 
 
-VESSELS = {"closed drum": ClosedDrum, "tilted box": TiltedBox, "vee": Vee}
+VESSELS = {"closed drum": closed_drum, "tilted box": TiltedBox, "vee": Vee}
 
 
 @pytest.fixture(scope="module", params=VESSELS)
@@ -197,6 +197,6 @@ def test_detectors_tell_what_is_wrong_and_when():
     assert "free fall" in said
     assert " deg" in said
     assert fast.summary["detector_slump"] > 0.3
-    calm = general(ClosedDrum(), 24, 0.3, intervals=40, shear_rate=100.0)
+    calm = general(closed_drum(), 24, 0.3, intervals=40, shear_rate=100.0)
     assert not any("Froude" in sentence for sentence in calm.warnings)
     assert calm.summary["detector_slump"] < fast.summary["detector_slump"]
