@@ -22,6 +22,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
+from scaleup.api import BRIDGE, runs_of
 from scaleup_lax_wendroff import stencil
 
 DRUM = """
@@ -81,8 +82,7 @@ def kernel(shape: tuple[int, ...]) -> tuple[int, float, float]:
     new = np.zeros_like(c)
     weights = np.full((len(neighbours), c.size), 0.05 / len(neighbours))
     inside = np.pad(np.ones(shape, dtype=bool), 1).ravel()
-    edges = np.flatnonzero(np.diff(inside.astype(int)))
-    runs = np.stack([edges[::2] + 1, edges[1::2] + 1], axis=1)
+    runs = runs_of(np.flatnonzero(inside), BRIDGE)
     cells = int(inside.sum())
     bytes_per_cell = 8 * (len(neighbours) + 3)
     repeats = max(1, 20_000_000 // cells)
