@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from scaleup import units
 from scaleup.closed_surface import ClosedSurface
-from scaleup.compact_intervals import CompactInterval, CompactIntervals, runs_of_cells
-from scaleup.conservative_bed import BRIDGE, ConservativeBed, runs_of
+from scaleup.compact_intervals import CompactInterval, CompactIntervals
+from scaleup.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
 from scaleup.cut_cells import cut_fraction, cut_fraction_of_cells, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
 from scaleup.explicit_transport import ExplicitBackend, ExplicitTransport
@@ -63,6 +63,7 @@ __all__ = [
     "FluxCorrection",
     "Geometry",
     "Grid",
+    "GroupsHere",
     "InputError",
     "IntArray",
     "Interval",
@@ -89,7 +90,6 @@ __all__ = [
     "require_drum",
     "require_rolling",
     "runs_of",
-    "runs_of_cells",
     "spread_outwards",
     "units",
 ]

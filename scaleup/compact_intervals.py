@@ -154,13 +154,3 @@ def cells_of_runs(runs: NDArray[Any]) -> IntArray:
     offsets = np.repeat(first - (ends - lengths), lengths)
     cells: IntArray = offsets + np.arange(len(offsets))
     return cells
-
-
-def runs_of_cells(cells: IntArray) -> IntArray:
-    """Runs (n, 2) of first and one past the last, of ascending indices."""
-    if len(cells) == 0:
-        return np.empty((0, 2), dtype=np.int64)
-    breaks = np.flatnonzero(np.diff(cells) != 1)
-    first = np.concatenate([cells[:1], cells[breaks + 1]])
-    stop = np.concatenate([cells[breaks], cells[-1:]]) + 1
-    return np.stack([first, stop], axis=1)

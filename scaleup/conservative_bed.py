@@ -34,35 +34,43 @@ _LEAST = 1e-3  # fill fraction below which a cell never sets the step
 
 
 @dataclass(frozen=True)
-class LocalGroups:
-    """The groups that have members among a rank's owned cells; see `merged_cells`.
+class GroupsHere:
+    """Groups of merged cells on a rank; see `merged_cells`.
 
-    members -- positions of the owned members in flattened local arrays, group by group
+    members -- positions of the cells in flattened local arrays, group by group
     first   -- where each group starts in `members`, (groups + 1,)
     start, rate -- of the fill fraction of each whole group, on any rank: its value at the
                interval's start and its change per second, (groups,)
-    shared   -- groups with members on other ranks too
-    mine, slot -- this rank's members of those (positions in `members`), and their places in the
-               list of all members of all such groups of the bed
-    run      -- where the members of each of `shared` start and stop in that list, (shared, 2)
-    listed   -- length of that list
-    interval_start -- s
+    begins  -- s, the interval's start
     """
 
     members: IntArray
     first: IntArray
     start: FloatArray
     rate: FloatArray
+    begins: float
+
+    def fraction(self, time: float) -> FloatArray:
+        """Fill fraction of each group at a time (s), (groups,)."""
+        return np.asarray(self.start + (time - self.begins) * self.rate)
+
+
+@dataclass(frozen=True)
+class LocalGroups(GroupsHere):
+    """The groups that have members among a rank's owned cells, and those members.
+
+    shared   -- groups with members on other ranks too
+    mine, slot -- this rank's members of those (positions in `members`), and their places in the
+               list of all members of all such groups of the bed
+    run      -- where the members of each of `shared` start and stop in that list, (shared, 2)
+    listed   -- length of that list
+    """
+
     shared: IntArray
     mine: IntArray
     slot: IntArray
     run: IntArray
     listed: int
-    interval_start: float
-
-    def fraction(self, time: float) -> FloatArray:
-        """Fill fraction of each group at a time (s), (groups,)."""
-        return np.asarray(self.start + (time - self.interval_start) * self.rate)
 
 
 def runs_of(positions: IntArray, bridge: int = 0) -> IntArray:
@@ -172,10 +180,7 @@ class ConservativeBed:
     def _local_groups(self) -> LocalGroups:
         groups = self.merged
         number, count = groups.number, len(groups)
-        start = np.bincount(number, weights=self._start[groups.members], minlength=count)
-        rate = np.bincount(
-            number, weights=(self._end - self._start)[groups.members], minlength=count
-        )
+        start, rate = self._fill_of_groups()
         owned = self._placing.mine[groups.members]
         here = np.bincount(number[owned], minlength=count)
         partly = (here > 0) & (here < np.diff(groups.first))
@@ -188,15 +193,39 @@ class ConservativeBed:
         return LocalGroups(
             members=self._placing.place[groups.members[owned]],
             first=np.concatenate([[0], np.cumsum(here[present])]),
-            start=start[present].astype(float),
-            rate=rate[present] / self.interval.duration,
+            start=start[present],
+            rate=rate[present],
+            begins=self.interval.start,
             shared=shared,
             mine=np.flatnonzero(in_shared),
             slot=slots[owned][in_shared],
             run=np.stack([starts[present[shared]], starts[present[shared] + 1]], axis=1),
             listed=int(starts[-1]),
-            interval_start=self.interval.start,
         )
+
+    def groups_in_box(self) -> GroupsHere:
+        """The groups that lie in the rank's box with all their members, ghosts included."""
+        groups = self.merged
+        number = groups.number
+        place = self._placing.place[groups.members]
+        whole = np.bincount(number, weights=place < 0, minlength=len(groups)) == 0
+        start, rate = self._fill_of_groups()
+        return GroupsHere(
+            members=place[whole[number]],
+            first=np.concatenate([[0], np.cumsum(np.diff(groups.first)[whole])]).astype(np.int64),
+            start=start[whole],
+            rate=rate[whole],
+            begins=self.interval.start,
+        )
+
+    def _fill_of_groups(self) -> tuple[FloatArray, FloatArray]:
+        """Fill fraction at the interval's start and its change per second, of all groups."""
+        number, members = self.merged.number, self.merged.members
+        start, gain = (
+            np.bincount(number, weights=values[members], minlength=len(self.merged)).astype(float)
+            for values in (self._start, self._end - self._start)
+        )
+        return start, gain / self.interval.duration
 
     def _close_inner(self) -> None:
         """Nothing goes through the faces between cells of one group."""

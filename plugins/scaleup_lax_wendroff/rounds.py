@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from scaleup.api import BRIDGE, BoolArray, FloatArray, IntArray, RunError, runs_of
+from scaleup.api import BRIDGE, BoolArray, GroupsHere, IntArray, RunError, runs_of
 from scaleup_lax_wendroff.beds import Bed, PaperBed
 
 _ENDLESS = 10**6  # steps of a rank that has no ghosts
@@ -32,49 +32,7 @@ class Round:
     copies: BoolArray
 
 
-@dataclass(frozen=True)
-class LocalGroups:
-    """Merged cells that lie in a rank's box with all their members, ghosts included.
-
-    members, first -- positions in flattened local arrays, group by group
-    start, rate    -- of the fill fraction: at the interval's start and per second
-    begins         -- s, the interval's start
-    """
-
-    members: IntArray
-    first: IntArray
-    start: FloatArray
-    rate: FloatArray
-    begins: float
-
-    def fraction(self, time: float) -> FloatArray:
-        """Fill fraction at a time (s), (groups,)."""
-        return np.asarray(self.start + (time - self.begins) * self.rate)
-
-
-def local_groups(bed: Bed) -> LocalGroups:
-    """The groups of a settled bed."""
-    merged, split = bed.merged, bed.split
-    number, count = merged.number, len(merged)
-    start, end = (
-        np.bincount(number, weights=bed.fraction_at(time)[merged.members], minlength=count)
-        for time in (bed.interval.start, bed.interval.end)
-    )
-    cells = bed.interval.cells[merged.members]
-    inside, where = split.local_position(cells)
-    whole = np.bincount(number, weights=~inside, minlength=count) == 0
-    keep = whole[number][inside]
-    size = np.diff(merged.first)[whole]
-    return LocalGroups(
-        members=np.ravel_multi_index(where, split.local_shape)[keep],
-        first=np.concatenate([[0], np.cumsum(size)]).astype(np.int64),
-        start=start[whole],
-        rate=((end - start) / bed.interval.duration)[whole],
-        begins=bed.interval.start,
-    )
-
-
-def plan_rounds(bed: Bed, groups: LocalGroups) -> tuple[list[Round], int]:
+def plan_rounds(bed: Bed, groups: GroupsHere) -> tuple[list[Round], int]:
     """(rounds, how many steps can be done in turn, the last round repeated); collective.
 
     Raises RunError if merged cells reach so far into other ranks that not one step can be done.

@@ -23,7 +23,7 @@ from scaleup.api import (
 )
 from scaleup_lax_wendroff import corrected_form, stencil
 from scaleup_lax_wendroff.beds import Bed, PaperBed
-from scaleup_lax_wendroff.rounds import Round, local_groups, plan_rounds
+from scaleup_lax_wendroff.rounds import Round, plan_rounds
 
 if TYPE_CHECKING:
     from scaleup_lax_wendroff import LaxWendroff
@@ -54,7 +54,7 @@ class StencilTransport(ExplicitTransport[Bed]):
 
     def entered(self) -> None:
         """Plan the rounds; cells at rest hold the same in both fields."""
-        self._groups = local_groups(self.bed)
+        self._groups = self.bed.groups_in_box()
         self._rounds, self._between = plan_rounds(self.bed, self._groups)
         self._strides = self.bed.stencil_strides
         self._dt = 0.0
