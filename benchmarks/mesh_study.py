@@ -4,9 +4,10 @@ Segregation intensity against revolutions on the paper's drum (flow mohr-coulomb
 0.005), on meshes from 25,000 to 800,000 active bed cells, for `lax-wendroff` form "paper" with the
 paper's diffusion (Eq. 6), the same with form "corrected", and `finite-volume`, both with the
 objective tensor. The error of a curve is its greatest distance from that of the same physics on
-the finest mesh. Results are kept in a JSON file, so that the study goes on where it stopped.
+the finest mesh. Results are kept in a JSON file per k1, so that the study goes on where it stopped
+and both values of k1 can run side by side.
 
-    python benchmarks/mesh_study.py [--output DIR] [--revolutions X] [--finest CELLS]
+    python benchmarks/mesh_study.py [--output DIR] [--revolutions X] [--finest CELLS] [--k1 K1]
 """
 
 from __future__ import annotations
@@ -120,18 +121,26 @@ def table(results: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def known_results(folder: Path) -> dict[str, Any]:
+    results: dict[str, Any] = {}
+    for kept in sorted(folder.glob("results-*.json")):
+        results |= json.loads(kept.read_text())
+    return results
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/mesh-study"))
     parser.add_argument("--revolutions", type=float, default=3.0)
     parser.add_argument("--finest", type=int, default=CELLS[-1], help="for finite-volume")
+    parser.add_argument("--k1", type=float, choices=K1, help="one value alone")
     asked = parser.parse_args()
     comm = parallel.start()
     asked.output.mkdir(parents=True, exist_ok=True)
-    kept = asked.output / "results.json"
-    results = json.loads(kept.read_text()) if kept.exists() else {}
+    results = known_results(asked.output)
     for cells in CELLS:
-        for k1 in K1:
+        for k1 in K1 if asked.k1 is None else (asked.k1,):
+            kept = asked.output / f"results-{k1}.json"
             for method in METHODS:
                 key = f"{method} {k1} {cells}"
                 if key in results or (method == "finite-volume" and cells > asked.finest):
@@ -139,7 +148,9 @@ def main() -> None:
                 results[key] = run(comm, method, k1, cells, asked.revolutions)
                 if comm.rank == 0:
                     print(key, f"{results[key]['seconds']:.1f} s", flush=True)
-                    kept.write_text(json.dumps(results))
+                    own = {k: v for k, v in results.items() if k.split()[1] == str(k1)}
+                    kept.write_text(json.dumps(own))
+                    results = known_results(asked.output)
                     draw(results, asked.output / "mesh_study.png")
                     (asked.output / "table.md").write_text(table(results) + "\n")
 
