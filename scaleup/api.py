@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from scaleup import units
 from scaleup.closed_surface import ClosedSurface
-from scaleup.compact_intervals import CompactInterval, CompactIntervals
+from scaleup.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
 from scaleup.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
 from scaleup.cut_cells import cut_fraction, cut_fraction_of_cells, fill_to_volume
 from scaleup.errors import ContractError, InputError, RunError
@@ -28,6 +28,7 @@ from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
 from scaleup.flux_correction import FluxCorrection
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
 from scaleup.ledger import Ledger
+from scaleup.parallel import on_each, on_root, on_root_alone
 from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
@@ -71,6 +72,7 @@ __all__ = [
     "Loading",
     "Material",
     "Memory",
+    "MirroredParts",
     "Mixing",
     "MixingScene",
     "PluginOptions",
@@ -87,6 +89,9 @@ __all__ = [
     "interval_from_dense",
     "is_circle",
     "level_height",
+    "on_each",
+    "on_root",
+    "on_root_alone",
     "require_drum",
     "require_rolling",
     "runs_of",
@@ -196,8 +201,16 @@ class Flow(Protocol):
         """Raise InputError if the model cannot hold for this vessel and speed (rad/s). Cheap."""
         ...
 
-    def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
-        """The flow on `scene.grid`; called on the root only, `comm` is the root's own.
+    def solve(
+        self, scene: Scene, comm: Any, progress: Progress, memory: Memory
+    ) -> FlowField | None:
+        """The flow on `scene.grid`; called on all ranks of `comm` (collective).
+
+        A serial model does its work in `on_root_alone(comm, work)` and returns what that does: the
+        FlowField on rank 0, None elsewhere. A parallel one returns, on every rank, a FlowField that
+        differs in `intervals` alone: CompactIntervals of consecutive ones that this rank holds,
+        rank by rank. The ranks meet only where all of them come to; what may fail on one of them
+        belongs in `on_each(comm, work)`, which raises its error on all.
 
         Must satisfy `scaleup.testing.check_flow`. `summary` should hold surface_angle_deg,
         surface_speed_max, active_layer_thickness, solid_body_ratio, flux_midbed, volume_drift and

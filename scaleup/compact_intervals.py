@@ -104,16 +104,22 @@ class CompactInterval:
 class CompactIntervals(IntervalSequence):
     """A sequence of Intervals over CompactIntervals, in memory or read one by one from a file.
 
-    parts    -- the compact intervals
-    times    -- their boundaries, s, shape (K + 1,)
+    parts    -- the compact intervals that this rank holds: all of them, unless a parallel flow
+                model has shared them out
+    times    -- boundaries of all, s, shape (K + 1,)
     capacity -- m^3 of vessel in every grid cell, flat; None if no part has resting cells
+    first    -- number of the first one held
     The Interval that was asked for last is kept.
     """
 
     def __init__(
-        self, parts: Sequence[CompactInterval], times: FloatArray, capacity: FloatArray | None
+        self,
+        parts: Sequence[CompactInterval],
+        times: FloatArray,
+        capacity: FloatArray | None,
+        first: int = 0,
     ):
-        self.parts, self.capacity = parts, capacity
+        self.parts, self.capacity, self.first = parts, capacity, first
         self._times = times
         self._last: tuple[int, Interval] | None = None
 
@@ -123,7 +129,7 @@ class CompactIntervals(IntervalSequence):
         return self._times
 
     def __len__(self) -> int:
-        return len(self.parts)
+        return len(self._times) - 1
 
     @overload
     def __getitem__(self, index: int) -> Interval: ...
@@ -135,12 +141,14 @@ class CompactIntervals(IntervalSequence):
         if not -len(self) <= index < len(self):
             raise IndexError(index)
         number = index % len(self)
+        if not 0 <= number - self.first < len(self.parts):
+            raise IndexError(f"interval {number} is held by another rank")
         if self._last is None or self._last[0] != number:
-            self._last = number, self.parts[number].expand(self.capacity)
+            self._last = number, self.parts[number - self.first].expand(self.capacity)
         return self._last[1]
 
     def mark_active(self, active: BoolArray) -> None:
-        """Set the flag of every cell that is active in any interval."""
+        """Set the flag of every cell that is active in any interval held here."""
         for part in self.parts:
             active[part.cells] = True
             active[cells_of_runs(part.still)] = True
@@ -154,3 +162,71 @@ def cells_of_runs(runs: NDArray[Any]) -> IntArray:
     offsets = np.repeat(first - (ends - lengths), lengths)
     cells: IntArray = offsets + np.arange(len(offsets))
     return cells
+
+
+class MirroredParts(Sequence[CompactInterval]):
+    """Compact intervals of a flow that is its own mirror image in z; only one half is kept.
+
+    halves -- those of the half at greater z, on the upper half of the grid's layers
+    counts -- of the whole grid: an even number of layers in z
+    """
+
+    def __init__(self, halves: Sequence[CompactInterval], counts: Sequence[int]):
+        self.halves, self.counts = halves, tuple(counts)
+
+    def __len__(self) -> int:
+        return len(self.halves)
+
+    @overload
+    def __getitem__(self, index: int) -> CompactInterval: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[CompactInterval]: ...
+    def __getitem__(self, index: int | slice) -> CompactInterval | Sequence[CompactInterval]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        half = self.halves[index]
+        layer, middle = self.counts[0] * self.counts[1], self.counts[2] // 2
+        upper = half.cells.astype(np.int64)
+        # the image of layer k is layer -1 - k, counted from the middle: the last one comes first
+        starts = np.searchsorted(upper, layer * np.arange(middle + 1))
+        order = np.concatenate(
+            [np.arange(starts[k], starts[k + 1]) for k in range(middle - 1, -1, -1)]
+        )
+        image = upper[order]
+        cells = np.concatenate([image + layer * (-1 - 2 * (image // layer)), upper])
+        cells += layer * middle
+
+        def both(values: NDArray[Any]) -> NDArray[Any]:
+            return np.concatenate([values[..., order], values], axis=-1)
+
+        flux, direction = both(half.flux), both(half.direction)
+        n = len(upper)
+        direction[2, :n] *= -1
+        # the image's lower face is that of the upper face, which is the next layer's lower one
+        above = np.searchsorted(upper, upper + layer)
+        found = above < n
+        found[found] = upper[above[found]] == upper[found] + layer
+        through = np.zeros(n)
+        through[found] = -half.flux[2, above[found]]
+        flux[2, :n] = through[order]
+        return CompactInterval(
+            half.start,
+            half.end,
+            cells.astype(half.cells.dtype),
+            both(half.fill_start),
+            both(half.fill_end),
+            flux,
+            both(half.shear_rate),
+            direction,
+            _mirrored_runs(half.still, layer, middle),
+        )
+
+
+def _mirrored_runs(half: NDArray[Any], layer: int, middle: int) -> NDArray[Any]:
+    """Runs of both halves, from those of the upper half; none reaches over a layer's end."""
+    runs = half.astype(np.int64)
+    shift = (layer * (-1 - 2 * (runs[:, 0] // layer)))[:, None]
+    image = runs + shift
+    image = image[np.argsort(image[:, 0], kind="stable")]
+    whole: NDArray[Any] = np.concatenate([image, runs]) + layer * middle
+    return whole.astype(half.dtype)

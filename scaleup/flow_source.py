@@ -5,19 +5,18 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
-
-from mpi4py import MPI
 
 from scaleup import registry, storage
 from scaleup.api import Scene
 from scaleup.config import RunConfig, fill_volume, grid_spacing
+from scaleup.flow_check import check_shared_flow
 from scaleup.flow_field import FlowField
 from scaleup.grid import Grid, grid_over
-from scaleup.parallel import on_root
+from scaleup.parallel import on_each, on_root
 from scaleup.progress import Reporter
 from scaleup.storage import Store
-from scaleup.testing import check_flow
 
 log = logging.getLogger("scaleup")
 
@@ -54,30 +53,27 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     )
     path = store.path("flow", key)
 
-    def solve() -> tuple[float, bool]:
-        if path.exists():
-            log.info("flow: reused from the store (%s)", path.name)
-            return 0.0, True
-        began = time.monotonic()
-        scene = Scene(
-            geometry=config.plugin("geometry"),
-            material=config.material,
-            speed=config.operation.speed,
-            fill_volume=fill_volume(config),
-            grid=grid,
-            inputs=scene_inputs,
-        )
-        with Reporter("flow", visible=True) as progress:
-            memory = store.memory_of(flow_plugin, geometry_plugin)
-            flow = config.plugin("flow").solve(scene, MPI.COMM_SELF, progress, memory)
-        check_flow(flow, scene.geometry, scene.fill_volume)
-        storage.write_flow(path, flow)
-        seconds = time.monotonic() - began
-        log.info("flow: solved in %.1f s and stored (%s)", seconds, path.name)
-        return seconds, False
-
-    seconds, reused = on_root(comm, solve)
-    return FlowOutcome(storage.read_flow(path), seconds, reused, key)
+    if on_root(comm, path.exists):
+        log.info("flow: reused from the store (%s)", path.name)
+        return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), 0.0, True, key)
+    began = time.monotonic()
+    scene = Scene(
+        geometry=config.plugin("geometry"),
+        material=config.material,
+        speed=config.operation.speed,
+        fill_volume=fill_volume(config),
+        grid=grid,
+        inputs=scene_inputs,
+    )
+    with Reporter("flow", visible=comm.rank == 0) as progress:
+        memory = store.memory_of(flow_plugin, geometry_plugin)
+        flow = config.plugin("flow").solve(scene, comm, progress, memory)
+    check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
+    storage.write_flow(path, flow, comm)
+    del flow
+    seconds = time.monotonic() - began
+    log.info("flow: solved in %.1f s and stored (%s)", seconds, path.name)
+    return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), seconds, False, key)
 
 
 def make_grid(config: RunConfig) -> Grid:

@@ -1,4 +1,4 @@
-"""MPI: a late start, an abort that leaves no rank waiting, and work for the root alone."""
+"""MPI: a late start, an abort that leaves no rank waiting, and errors that reach all ranks."""
 
 from __future__ import annotations
 
@@ -44,20 +44,43 @@ def on_root(comm: Any, work: Callable[[], T]) -> T:
     The other ranks sleep meanwhile instead of spinning, so that the root may use their cores. An
     error on the root is raised on every rank.
     """
-    result: T | None = None
-    failure: ScaleupError | None = None
-    if comm.rank == 0:
-        try:
-            result = work()
-        except ScaleupError as error:
-            failure = error
-        except OSError as error:
-            failure = file_error(error)
+    result = on_root_alone(comm, work)
+    if comm.size > 1:
+        result = comm.bcast(result, root=0)
+    return result  # type: ignore[return-value]  # every rank has the root's by now
+
+
+def on_root_alone(comm: Any, work: Callable[[], T]) -> T | None:
+    """As `on_root`, but the result stays on rank 0; the others get None."""
+    result, failure = _tried(work) if comm.rank == 0 else (None, None)
     if comm.size > 1:
         request = comm.Ibarrier()
         while not request.Test():
             time.sleep(_POLL_SECONDS)
-        result, failure = comm.bcast((result, failure), root=0)
+        failure = comm.bcast(failure, root=0)
     if failure is not None:
         raise failure
-    return result  # type: ignore[return-value]  # every rank has the root's by now
+    return result
+
+
+def on_each(comm: Any, work: Callable[[], T]) -> T:
+    """Run `work`, which must not communicate, on every rank; returns each rank's own result.
+
+    An error on any rank is raised on every rank: that of the lowest one.
+    """
+    result, failure = _tried(work)
+    if comm.size > 1:
+        failures = [error for error in comm.allgather(failure) if error is not None]
+        failure = failures[0] if failures else None
+    if failure is not None:
+        raise failure
+    return result  # type: ignore[return-value]  # there was no failure
+
+
+def _tried(work: Callable[[], T]) -> tuple[T | None, ScaleupError | None]:
+    try:
+        return work(), None
+    except ScaleupError as error:
+        return None, error
+    except OSError as error:
+        return None, file_error(error)

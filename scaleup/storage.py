@@ -1,9 +1,9 @@
 """Files: stored flows, checkpoints, results and their ParaView description.
 
-HDF5 is written by the root, flows and checkpoints through a temporary name, so that a reader, or a
-run that is killed, never meets half a file; `results.h5` grows by a snapshot at a time inside the
-work folder, and is published with it when the run is complete. Datasets carry their SI unit, files
-their `format_version`.
+HDF5 is written by the root, a flow by all ranks; flows and checkpoints through a temporary name, so
+that a reader, or a run that is killed, never meets half a file; `results.h5` grows by a snapshot at
+a time inside the work folder, and is published with it when the run is complete. Datasets carry
+their SI unit, files their `format_version`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import importlib.util
 import inspect
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -22,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scaleup
-from scaleup.compact_intervals import CompactInterval, CompactIntervals
+from scaleup.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
 from scaleup.errors import InputError, RunError
-from scaleup.files import replacing, write_text
+from scaleup.files import replacing, temporary_name, write_text
 from scaleup.flow_field import Axis, FlowField, Interval
-from scaleup.grid import FloatArray, Grid
+from scaleup.grid import FloatArray, Grid, IntArray
+from scaleup.parallel import on_each, on_root
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _FLOW_MODULES = (
     "closed_surface",
     "compact_intervals",
@@ -136,31 +138,101 @@ class PluginMemory:
         return self._store.path("part", content_hash(inputs, *self._plugins))
 
 
-def write_flow(path: Path, flow: FlowField) -> None:
-    """Store a FlowField, interval by interval; compact intervals stay compact."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["format_version"] = FORMAT_VERSION
-        file.attrs["frame"] = flow.frame
-        file.attrs["angular_velocity"] = flow.angular_velocity
-        file.attrs["lift"] = flow.lift
-        file.attrs["prefix"] = flow.prefix
-        file.attrs["axis_point"] = flow.axis.point
-        file.attrs["axis_direction"] = flow.axis.direction
-        file.attrs["summary"] = json.dumps(dict(flow.summary))
-        file.attrs["warnings"] = json.dumps(flow.warnings)
-        _write_grid(file, flow.grid)
-        file.create_dataset("times", data=flow.times).attrs["unit"] = "s"
-        parts: Iterable[CompactInterval] = map(CompactInterval.of, flow.intervals)
-        if isinstance(flow.intervals, CompactIntervals):
-            parts = flow.intervals.parts
-            if flow.intervals.capacity is not None:
-                capacity = file.create_dataset("capacity", data=flow.intervals.capacity)
+def write_flow(path: Path, flow: FlowField | None, comm: Any) -> None:
+    """Store a FlowField; compact intervals stay compact (collective).
+
+    Every rank writes the intervals that it holds; a rank that holds none may have no flow, but
+    rank 0, whose word counts for all that is not an interval. Each field of all intervals is one
+    dataset, in which `first` and `first_run` say where an interval begins.
+    """
+    parts, first = _held(flow)
+    sizes = on_each(comm, lambda: [(len(p.cells), len(p.still)) for p in parts])
+    blocks = sorted(block for block in comm.allgather((first, sizes)) if block[1])
+    lengths = np.array([size for _, block in blocks for size in block], dtype=np.int64)
+    starts = np.concatenate([[[0, 0]], np.cumsum(lengths, axis=0)])
+    header = comm.bcast(_header(flow, parts) if flow is not None and comm.rank == 0 else None)
+    temporary: Path = on_root(comm, partial(_temporary, path))
+    try:
+        with _shared_file(temporary, comm) as file:
+            file.attrs.update(header["attributes"])
+            _write_grid(file, header["grid"])
+            file.create_dataset("times", data=header["times"]).attrs["unit"] = "s"
+            file.create_dataset("intervals/first", data=starts[:, 0])
+            file.create_dataset("intervals/first_run", data=starts[:, 1])
+            data = {}
+            for name, (lead, kind) in header["fields"].items():
+                runs = name == "still"
+                shape = (starts[-1, 1], 2) if runs else (*lead, starts[-1, 0])
+                data[name] = file.create_dataset(f"intervals/{name}", shape=shape, dtype=kind)
+                data[name].attrs["unit"] = _UNITS[name]
+            if header["capacity"]:
+                capacity = file.create_dataset("capacity", shape=header["capacity"], dtype=float)
                 capacity.attrs["unit"] = "m^3"
-        for number, part in enumerate(parts):
-            group = file.create_group(f"intervals/{number:06d}")
-            for name, unit in _UNITS.items():
-                group.create_dataset(name, data=getattr(part, name)).attrs["unit"] = unit
+                if comm.rank == 0:
+                    capacity[:] = flow.intervals.capacity  # type: ignore[union-attr]
+            on_each(comm, partial(_write_parts, data, parts, starts[first:]))
+        on_root(comm, partial(os.replace, temporary, path))
+    finally:
+        if comm.rank == 0:
+            temporary.unlink(missing_ok=True)
+
+
+def _held(flow: FlowField | None) -> tuple[Sequence[CompactInterval], int]:
+    """The intervals held here, as they are stored, and the number of the first one."""
+    if flow is None:
+        return [], 0
+    if not isinstance(flow.intervals, CompactIntervals):
+        return [CompactInterval.of(interval) for interval in flow.intervals], 0
+    parts = flow.intervals.parts
+    return parts.halves if isinstance(parts, MirroredParts) else parts, flow.intervals.first
+
+
+def _header(flow: FlowField, parts: Sequence[CompactInterval]) -> dict[str, Any]:
+    """All of a flow that is not an interval, and what its intervals' fields are like."""
+    some = parts[0]
+    compact = flow.intervals if isinstance(flow.intervals, CompactIntervals) else None
+    return {
+        "attributes": {
+            "format_version": FORMAT_VERSION,
+            "frame": flow.frame,
+            "angular_velocity": flow.angular_velocity,
+            "lift": flow.lift,
+            "prefix": flow.prefix,
+            "axis_point": flow.axis.point,
+            "axis_direction": flow.axis.direction,
+            "summary": json.dumps(dict(flow.summary)),
+            "warnings": json.dumps(flow.warnings),
+            "mirrored": compact is not None and isinstance(compact.parts, MirroredParts),
+        },
+        "grid": flow.grid,
+        "times": flow.times,
+        "fields": {
+            name: (getattr(some, name).shape[:-1], getattr(some, name).dtype) for name in _UNITS
+        },
+        "capacity": None if compact is None or compact.capacity is None else len(compact.capacity),
+    }
+
+
+def _temporary(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return temporary_name(path)
+
+
+def _shared_file(path: Path, comm: Any) -> Any:
+    if comm.size == 1:
+        return h5py.File(path, "w")
+    return h5py.File(path, "w", driver="mpio", comm=comm)
+
+
+def _write_parts(
+    data: Mapping[str, Any], parts: Sequence[CompactInterval], starts: IntArray
+) -> None:
+    for part, (cell, run), (last_cell, last_run) in zip(parts, starts, starts[1:], strict=False):
+        for name, dataset in data.items():
+            if name == "still":
+                dataset[run:last_run] = part.still
+            else:
+                dataset[..., cell:last_cell] = getattr(part, name)
 
 
 def read_flow(path: Path) -> FlowField:
@@ -170,12 +242,16 @@ def read_flow(path: Path) -> FlowField:
             raise RunError(f"{path} is of another format version; delete it and solve again")
         times = np.asarray(file["times"])
         capacity = np.asarray(file["capacity"]) if "capacity" in file else None
+        grid = _read_grid(file)
+        parts: Sequence[CompactInterval] = _StoredParts(path, times, file["intervals"])
+        if file.attrs["mirrored"]:
+            parts = MirroredParts(parts, grid.counts)
         return FlowField(
-            grid=_read_grid(file),
+            grid=grid,
             frame=file.attrs["frame"],
             axis=Axis(tuple(file.attrs["axis_point"]), tuple(file.attrs["axis_direction"])),
             angular_velocity=float(file.attrs["angular_velocity"]),
-            intervals=CompactIntervals(_StoredParts(path, times), times, capacity),
+            intervals=CompactIntervals(parts, times, capacity),
             lift=float(file.attrs["lift"]),
             prefix=int(file.attrs["prefix"]),
             summary=json.loads(file.attrs["summary"]),
@@ -186,8 +262,9 @@ def read_flow(path: Path) -> FlowField:
 class _StoredParts(Sequence[CompactInterval]):
     """Compact intervals in a file, read when asked for."""
 
-    def __init__(self, path: Path, times: FloatArray):
+    def __init__(self, path: Path, times: FloatArray, group: Any):
         self._path, self._times = path, times
+        self._first, self._first_run = np.asarray(group["first"]), np.asarray(group["first_run"])
 
     def __len__(self) -> int:
         return len(self._times) - 1
@@ -201,9 +278,14 @@ class _StoredParts(Sequence[CompactInterval]):
             return [self[i] for i in range(*index.indices(len(self)))]
         if not 0 <= index < len(self):
             raise IndexError(index)
+        cells = slice(*self._first[index : index + 2])
+        runs = slice(*self._first_run[index : index + 2])
         with h5py.File(self._path, "r") as file:
-            group = file[f"intervals/{index:06d}"]
-            arrays: dict[str, Any] = {name: np.asarray(group[name]) for name in _UNITS}
+            group = file["intervals"]
+            arrays: dict[str, Any] = {
+                name: group[name][runs] if name == "still" else group[name][..., cells]
+                for name in _UNITS
+            }
         return CompactInterval(float(self._times[index]), float(self._times[index + 1]), **arrays)
 
 

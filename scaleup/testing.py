@@ -2,153 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from scaleup.compact_intervals import CompactInterval, CompactIntervals, cells_of_runs
 from scaleup.cut_cells import cut_fraction
 from scaleup.errors import ContractError, InputError
-from scaleup.flow_field import FlowField, Interval
+from scaleup.flow_check import check_flow as check_flow
 from scaleup.grid import FloatArray, Grid, grid_over
 from scaleup.vessel_shape import axis_meets, symmetry
 
 _ROUND_OFF = 1e-12
-
-
-def check_flow(flow: FlowField, geometry: Any = None, fill_volume: float | None = None) -> None:
-    """Check the invariants of a FlowField.
-
-    1 intervals are contiguous and cells ascending; 2 fill_end = fill_start - dt div(flux) to
-    round-off; 3 fills are continuous between intervals and over the period; 4 0 <= fill <= vessel
-    volume of the cell (of the whole cell without `geometry`); 5 the
-    total is `fill_volume`; 6 no flux touches an inactive cell or the edge of the grid; 7
-    directions are unit vectors or zero, shear rates >= 0, all numbers finite.
-
-    Resting cells of compact intervals are as full as the vessel lets them be: they need no look.
-    """
-    grid = flow.grid
-    capacity = np.full(grid.cells, grid.cell_volume)
-    if geometry is not None:
-        wall = geometry.signed_distance(grid.corner_points())
-        capacity = (cut_fraction(wall) * grid.cell_volume).ravel()
-    checker = _FlowChecker(grid, capacity, fill_volume)
-    if isinstance(flow.intervals, CompactIntervals):
-        parts: Sequence[CompactInterval] = flow.intervals.parts
-        resting = flow.intervals.capacity
-        if resting is not None and np.abs(resting - capacity).max() > _ROUND_OFF * grid.cell_volume:
-            raise ContractError("capacity must be the vessel's volume in each cell")
-    else:
-        parts = _Compacted(flow.intervals)
-    first = None
-    for number in range(len(parts)):
-        part = parts[number]
-        checker.check(part, f"interval {number}")
-        if number == flow.prefix:
-            first = part
-    if first is not None:
-        checker.check_joined(first, "the periodic part", wrap=True)
-
-
-class _Compacted(Sequence[CompactInterval]):
-    def __init__(self, intervals: Sequence[Interval]):
-        self._intervals = intervals
-
-    def __len__(self) -> int:
-        return len(self._intervals)
-
-    def __getitem__(self, index: Any) -> Any:
-        return CompactInterval.of(self._intervals[index])
-
-
-class _FlowChecker:
-    """Checks one interval after the other; remembers how the last one ended."""
-
-    def __init__(self, grid: Grid, capacity: FloatArray, fill_volume: float | None):
-        self._grid, self._capacity, self._fill_volume = grid, capacity, fill_volume
-        self._slack = _ROUND_OFF * grid.cell_volume
-        self._index = np.full(grid.cells, -1, dtype=np.int64)
-        self._end: tuple[float, FloatArray] | None = None
-
-    def check(self, part: CompactInterval, where: str) -> None:
-        grid, duration = self._grid, part.end - part.start
-        resting = cells_of_runs(part.still)
-        if len(part.cells) + len(resting) == 0 or np.any(np.diff(part.cells) <= 0):
-            raise ContractError(f"{where}: cells must be ascending and not empty")
-        if duration <= 0:
-            raise ContractError(f"{where}: must last longer than 0 s")
-        for name in ("fill_start", "fill_end", "flux", "shear_rate", "direction"):
-            if not np.all(np.isfinite(getattr(part, name))):
-                raise ContractError(f"{where}: {name} has values that are not finite")
-        scale = max(grid.cell_volume, duration * float(np.abs(part.flux).max(initial=0.0)))
-        gap = part.fill_end - part.fill_start + duration * self._outflow(part, where)
-        # a steady part holds for ever, so its divergence is judged against the fluxes alone
-        if float(np.abs(gap).max(initial=0.0)) > _ROUND_OFF * scale:
-            raise ContractError(
-                f"{where}: fill and flux disagree by {np.abs(gap).max() / grid.cell_volume:.2g} of "
-                "a cell; fill_end must be fill_start - dt div(flux)"
-            )
-        rest = float(self._capacity[resting].sum())
-        for fill in (part.fill_start, part.fill_end):
-            low = float(fill.min(initial=0.0))
-            over = float((fill - self._capacity[part.cells]).max(initial=0.0))
-            if low < -self._slack or over > self._slack:
-                raise ContractError(
-                    f"{where}: fill must lie in [0, vessel volume of the cell]; it is below by "
-                    f"{max(0.0, -low) / grid.cell_volume:.2g} or above by "
-                    f"{max(0.0, over) / grid.cell_volume:.2g} of a cell"
-                )
-            if self._fill_volume is not None:
-                drift = (float(fill.sum()) + rest) / self._fill_volume - 1.0
-                if abs(drift) > _ROUND_OFF:
-                    raise ContractError(f"{where}: the fill is off by {drift:.2g} of the bed")
-        if np.any(part.shear_rate < 0):
-            raise ContractError(f"{where}: shear_rate must not be negative")
-        length = np.linalg.norm(part.direction, axis=0)
-        exact = 1e-9 if part.direction.dtype == np.float64 else 1e-5
-        if np.any((np.abs(length - 1.0) > exact) & (length > exact)):
-            raise ContractError(f"{where}: direction must be unit vectors or zero")
-        if self._end is not None:
-            self.check_joined(part, where)
-        ends = np.zeros(grid.cells)
-        ends[resting] = self._capacity[resting]
-        ends[part.cells] = part.fill_end
-        self._end = part.end, ends
-
-    def _outflow(self, part: CompactInterval, where: str) -> FloatArray:
-        """div(flux) of each cell, m^3/s; every face with flux must lie between two of them."""
-        grid, cells = self._grid, part.cells.astype(np.int64)
-        self._index[cells] = np.arange(len(cells))
-        total = np.zeros(len(cells))
-        leak = 0.0
-        for axis in range(grid.dimension):
-            flux, stride = part.flux[axis], math.prod(grid.counts[:axis])
-            place = cells // stride % grid.counts[axis]
-            lower = np.where(place > 0, self._index[cells - stride], -1)
-            leak = max(leak, float(np.abs(flux[lower < 0]).max(initial=0.0)))
-            total -= flux
-            total += np.bincount(lower[lower >= 0], flux[lower >= 0], len(cells))
-        self._index[cells] = -1
-        if leak > 0:
-            raise ContractError(f"{where}: a flux of {leak:.2g} m^3/s leaves the bed")
-        return total
-
-    def check_joined(self, part: CompactInterval, where: str, wrap: bool = False) -> None:
-        """An interval begins when and as the last one that was checked ended."""
-        assert self._end is not None
-        end, ends = self._end
-        if not wrap and end != part.start:
-            raise ContractError(f"{where}: starts at {part.start:g} s, not at {end:g} s")
-        resting = cells_of_runs(part.still)
-        difference = ends.copy()
-        difference[resting] -= self._capacity[resting]
-        difference[part.cells] -= part.fill_start
-        jump = float(np.abs(difference).max()) / self._grid.cell_volume
-        if jump > 1e-9:
-            raise ContractError(f"{where}: the fill jumps by {jump:.2g} of a cell where it joins")
 
 
 def check_geometry(geometry: Any) -> None:

@@ -13,6 +13,7 @@ from scaleup.api import (
     PluginOptions,
     Progress,
     Scene,
+    on_root_alone,
     require_drum,
     units,
 )
@@ -46,9 +47,15 @@ class MohrCoulomb:
         """The wall must look the same at every phase, and the powder must not centrifuge."""
         require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
 
-    def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
+    def solve(
+        self, scene: Scene, comm: Any, progress: Progress, memory: Memory
+    ) -> FlowField | None:
         """Solve for the steady bed (kept without the grid, so that any grid can reuse it)."""
-        from scaleup_mohr_coulomb.on_grid import flow_field
-        from scaleup_mohr_coulomb.solve import steady_bed
 
-        return flow_field(steady_bed(scene, self.options, progress, memory), scene)
+        def work() -> FlowField:
+            from scaleup_mohr_coulomb.on_grid import flow_field
+            from scaleup_mohr_coulomb.solve import steady_bed
+
+            return flow_field(steady_bed(scene, self.options, progress, memory), scene)
+
+        return on_root_alone(comm, work)

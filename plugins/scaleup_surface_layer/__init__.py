@@ -14,6 +14,7 @@ from scaleup.api import (
     Progress,
     Scene,
     is_circle,
+    on_root_alone,
     require_drum,
     require_rolling,
     units,
@@ -63,17 +64,17 @@ class SurfaceLayer:
             require_drum("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
         require_rolling("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
 
-    def solve(self, scene: Scene, comm: Any, progress: Progress, memory: Memory) -> FlowField:
+    def solve(
+        self, scene: Scene, comm: Any, progress: Progress, memory: Memory
+    ) -> FlowField | None:
         """See `closed_form.drum_flow` and `general.general_flow`."""
         if self._closed(scene.geometry):
             from scaleup_surface_layer.closed_form import drum_flow
 
-            field = drum_flow(scene, self.options)
-            progress(1.0, "surface layer in closed form")
-            return field
+            return on_root_alone(comm, lambda: drum_flow(scene, self.options))
         from scaleup_surface_layer.general import general_flow
 
-        return general_flow(scene, self.options, progress)
+        return general_flow(scene, self.options, comm, progress)
 
     def _closed(self, geometry: Geometry) -> bool:
         if self.options.model == "auto":

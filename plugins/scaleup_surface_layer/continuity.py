@@ -19,25 +19,25 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
-from scaleup.api import BoolArray, FloatArray, IntArray, RunError
+from scaleup.api import FloatArray, IntArray, RunError
+
+_SOLVED = 1e-8  # residual of the correction over what is to be corrected
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Segments of a set of n cells, and the lateral faces between them.
+    """Segments of n cells, and the lateral faces between them.
 
     segment -- of each cell; count -- number of segments
-    component -- of each segment: which segments hang together; components -- their number
+    roots -- the first segment of each component
     face_row, face_cell -- which row of the flux and which cell each lateral face belongs to
     lower, upper -- segments below and above each face; lower_cell -- the cell below it
     """
 
     segment: IntArray
     count: int
-    component: IntArray
-    components: int
+    roots: IntArray
     face_row: IntArray
     face_cell: IntArray
     lower: IntArray
@@ -45,43 +45,53 @@ class Segments:
     lower_cell: IntArray
 
 
-def find_segments(below: IntArray, beside: tuple[IntArray, ...], used: BoolArray) -> Segments:
-    """Segments of the used cells.
+def find_segments(
+    below: IntArray, beside: IntArray, component: IntArray, components: int
+) -> Segments:
+    """Segments of n cells.
 
-    below  -- number of the cell below along the segment's axis, through an open face; else -1
-    beside -- the same for each lateral axis
-    used   -- which cells count, shape (n,); the others get segment -1
+    below  -- number of the cell below along the segment's axis, through an open face; else -1, (n,)
+    beside -- the same for each lateral axis, (lateral axes, n)
+    component -- of each cell: which cells hang together through these faces; components -- number
     """
-    segment, count = _string(below, used)
-    rows, cells = [], []
-    for row, other in enumerate(beside):
-        here = np.flatnonzero(used & (other >= 0))
-        here = here[used[other[here]]]
-        rows.append(np.full(len(here), row))
-        cells.append(here)
-    face_row, face_cell = np.concatenate(rows), np.concatenate(cells)
-    neighbour = np.stack(beside)[face_row, face_cell]
-    lower, upper = segment[neighbour], segment[face_cell]
-    graph = csr_matrix((np.ones(len(lower), dtype=bool), (lower, upper)), shape=(count, count))
-    components, component = connected_components(graph, directed=False)
-    return Segments(
-        segment, count, component, components, face_row, face_cell, lower, upper, neighbour
-    )
+    segment, count, roots = _string(below, component, components)
+    return Segments(segment, count, roots, *_lateral_faces(segment, beside))
 
 
 @njit(cache=True)
-def _string(below, used):
-    segment = np.full(len(below), -1)
+def _string(below, component, components):
+    segment = np.empty(len(below), dtype=np.int32)
+    roots = np.full(components, -1)
     count = 0
     for n in range(len(below)):
-        if not used[n]:
-            continue
-        if below[n] >= 0 and used[below[n]]:
+        if below[n] >= 0:
             segment[n] = segment[below[n]]
-        else:
-            segment[n] = count
-            count += 1
-    return segment, count
+            continue
+        if roots[component[n]] < 0:
+            roots[component[n]] = count
+        segment[n] = count
+        count += 1
+    return segment, count, roots
+
+
+@njit(cache=True)
+def _lateral_faces(segment, beside):
+    total = 0
+    for row in range(len(beside)):
+        for n in range(len(segment)):
+            total += beside[row, n] >= 0
+    face_row, face_cell = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int32)
+    lower, upper = np.empty(total, dtype=np.int32), np.empty(total, dtype=np.int32)
+    lower_cell = np.empty(total, dtype=np.int32)
+    f = 0
+    for row in range(len(beside)):
+        for n in range(len(segment)):
+            m = beside[row, n]
+            if m >= 0:
+                face_row[f], face_cell[f], lower_cell[f] = row, n, m
+                lower[f], upper[f] = segment[m], segment[n]
+                f += 1
+    return face_row, face_cell, lower, upper, lower_cell
 
 
 def close_balance(
@@ -97,26 +107,32 @@ def close_balance(
     faces = segments.face_row, segments.face_cell
     lateral, w = flux[faces], weight[faces]
     flux[:] = 0.0
-    need = _shortfall(segments, lateral, gain)
-    phi = _potential(segments, w, need)
+    ends = segments.lower, segments.upper
+    demand = np.bincount(segments.segment, gain, segments.count)
+    phi = _potential(segments, w, _shortfall(*ends, lateral, demand))
     lateral += w * (phi[segments.lower] - phi[segments.upper])
-    _down_the_tree(
-        segments.count, segments.lower, segments.upper, lateral, _shortfall(segments, lateral, gain)
-    )
+    _down_the_tree(segments.count, *ends, lateral, _shortfall(*ends, lateral, demand))
     flux[faces] = lateral
-    # cell by cell: what is gained beyond what comes from beside
-    need = np.where(segments.segment >= 0, gain, 0.0)
-    need -= flux.sum(axis=0)
-    need += np.bincount(segments.lower_cell, lateral, len(need))
-    return _along(segments.segment, below, need)
+    return _along(below, _need(segments.face_cell, segments.lower_cell, lateral, gain))
 
 
-def _shortfall(segments: Segments, lateral: FloatArray, gain: FloatArray) -> FloatArray:
+@njit(cache=True)
+def _shortfall(lower, upper, lateral, demand):
     """What each segment still has to gain beyond what its lateral fluxes bring, m^3/s."""
-    used = segments.segment >= 0
-    need = np.bincount(segments.segment[used], gain[used], segments.count)
-    need -= np.bincount(segments.upper, lateral, segments.count)
-    need += np.bincount(segments.lower, lateral, segments.count)
+    need = demand.copy()
+    for f in range(len(lateral)):
+        need[upper[f]] -= lateral[f]
+        need[lower[f]] += lateral[f]
+    return need
+
+
+@njit(cache=True)
+def _need(face_cell, lower_cell, lateral, gain):
+    """What each cell gains beyond what comes from beside, m^3/s."""
+    need = gain.copy()
+    for f in range(len(lateral)):
+        need[face_cell[f]] -= lateral[f]
+        need[lower_cell[f]] += lateral[f]
     return need
 
 
@@ -130,7 +146,7 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
     n = segments.count
     lower, upper = segments.lower, segments.upper
     diagonal = np.bincount(lower, w, n) + np.bincount(upper, w, n)
-    _, roots = np.unique(segments.component, return_index=True)
+    roots = segments.roots
     diagonal[roots] += np.where(diagonal[roots] > 0, diagonal[roots], 1.0)
     ids = np.arange(n)
     matrix = csr_matrix(
@@ -153,7 +169,7 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
     solver.setOperators(operator)
     solver.setType("cg")
     solver.getPC().setType("gamg")
-    solver.setTolerances(rtol=1e-9, max_it=1000)
+    solver.setTolerances(rtol=_SOLVED, max_it=1000)
     solution, load = operator.createVecRight(), operator.createVecLeft()
     # inflow is positive: w (phi_lower - phi_upper) runs from lower to upper
     load.setArray(-need)
@@ -216,11 +232,11 @@ def _down_the_tree(count, lower, upper, lateral, need):
 
 
 @njit(cache=True)
-def _along(segment, below, need):
+def _along(below, need):
     """Flux through each cell's lower face along its segment, from the bottom upwards."""
     lower = np.zeros(len(need))
     for n in range(len(need)):
         m = below[n]
-        if segment[n] >= 0 and m >= 0 and segment[m] == segment[n]:
+        if m >= 0:
             lower[n] = lower[m] - need[m]
     return lower

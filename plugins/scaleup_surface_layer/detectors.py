@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from scaleup.api import GRAVITY, FloatArray, Scene, froude_number
-from scaleup_surface_layer.lab_columns import BedStep, Columns
+from scaleup_surface_layer.lab_columns import BedStep
+from scaleup_surface_layer.layer_closing import Quality
 from scaleup_surface_layer.revolution import Revolution
-from scaleup_surface_layer.turned_vessel import ColumnShape
+from scaleup_surface_layer.turned_vessel import Outline
 from scaleup_surface_layer.vessel_frame import VesselFrame
 
 _ROLLING = 1e-2  # Froude number up to which a bed rolls (Oba & Otsuki, arXiv 2407.19466)
@@ -42,22 +43,22 @@ class Findings:
     """The solution of a scene, and what there is to say of it."""
 
     scene: Scene
-    columns: Columns
-    revolution: Revolution
     frame: VesselFrame
+    revolution: Revolution
+    quality: Quality
 
     def __post_init__(self) -> None:
         revolution = self.revolution
         self._steps = revolution.steps[revolution.prefix :]
         per_revolution = len(self._steps)
         looks = [
-            self._look(step, revolution.shapes[(revolution.prefix + n + 1) % per_revolution])
+            self._look(step, revolution.outlines[(revolution.prefix + n + 1) % per_revolution])
             for n, step in enumerate(self._steps)
         ]
         self._phases = np.degrees([step.after.phase for step in self._steps]) % 360.0
         self._series = {name: np.array([look[name] for look in looks]) for name in looks[0]}
 
-    def _look(self, step: BedStep, shape: ColumnShape) -> dict[str, float]:
+    def _look(self, step: BedStep, shape: Outline) -> dict[str, float]:
         """The detectors' values, and some figures, for one step."""
         flux = np.hypot(
             0.5 * (step.flux_x[1:] + step.flux_x[:-1]),
@@ -91,14 +92,14 @@ class Findings:
 
     def _slope(self, surface: FloatArray) -> FloatArray:
         """|grad h| at column centres."""
-        x = np.gradient(surface, self.columns.dx, axis=0)
-        if self.columns.nz == 1:
+        x = np.gradient(surface, self.frame.columns.dx, axis=0)
+        if self.frame.columns.nz == 1:
             return np.abs(x)
-        return np.hypot(x, np.gradient(surface, self.columns.dz, axis=1))
+        return np.hypot(x, np.gradient(surface, self.frame.columns.dz, axis=1))
 
     def summary(self) -> dict[str, Any]:
         """Figures of the periodic part."""
-        series, revolution, quality = self._series, self.revolution, self.frame.quality
+        series, revolution, quality = self._series, self.revolution, self.quality
         return {
             "surface_angle_deg": math.degrees(math.atan(float(series["slope"].mean()))),
             "surface_angle_source": "input: the friction angle (mean of the flowing surface)",
@@ -113,12 +114,12 @@ class Findings:
             "mean over the revolution",
             "volume_drift": revolution.drift,
             "shear_rate": self.frame.shear_rate,
-            "columns": [self.columns.nx, self.columns.nz],
+            "columns": [self.frame.columns.nx, self.frame.columns.nz],
             "intervals_per_revolution": round(len(self._steps) / self._per_interval),
             "flux_correction": quality.correction / max(quality.model, 1e-300),
             "volume_misplaced": revolution.rehomed,
-            "volume_stuck": quality.stuck / self.frame.volume,
-            "surface_shift": quality.level,
+            "volume_stuck": self.frame.stuck / self.frame.volume,
+            "surface_shift": self.frame.greatest_shift,
             "repeat_mismatch": revolution.mismatch,
             **{f"detector_{name}": float(series[name].max()) for name in _BOUNDS},
         }

@@ -3,98 +3,148 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scaleup.api import (
+    CompactInterval,
     CompactIntervals,
     FlowField,
     InputError,
+    MirroredParts,
     Progress,
     Scene,
     level_height,
+    on_each,
+    on_root,
 )
 from scaleup_surface_layer.closed_form import layer_shear_rate
 from scaleup_surface_layer.detectors import Findings
 from scaleup_surface_layer.lab_columns import Columns
-from scaleup_surface_layer.revolution import revolve
+from scaleup_surface_layer.layer_closing import Quality, close_interval
+from scaleup_surface_layer.revolution import Revolution, revolve
 from scaleup_surface_layer.sandpile import slope_law
-from scaleup_surface_layer.turned_vessel import TurnedVessel
-from scaleup_surface_layer.vessel_frame import VesselFrame
+from scaleup_surface_layer.turned_vessel import PhasedVessel, TurnedVessel
+from scaleup_surface_layer.vessel_frame import VesselFrame, upper_half
 
 if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
 
 _RIM_CELLS = 4  # by how many cells the rim may turn in an interval
 _LONGEST = 120  # intervals in a revolution, at least: 3 degrees
+_MOVE = 0.5  # cost of going through an interval over that of closing it
 _ACROSS = 72  # columns across the vessel, at most, unless asked for
 
 
-def general_flow(scene: Scene, options: SurfaceLayer.Options, progress: Progress) -> FlowField:
-    """The flow from the settled level bed on, then one revolution that repeats.
+def general_flow(
+    scene: Scene, options: SurfaceLayer.Options, comm: Any, progress: Progress
+) -> FlowField:
+    """The flow from the settled level bed on, then one revolution that repeats (collective).
 
     1 the bed in lab columns, step by step, until it repeats itself (`revolution`); of a vessel that
-      is its own mirror image in z, one half, and nothing crosses the plane between them;
-    2 interval by interval, fills and fluxes on the vessel's grid (`vessel_frame`).
+      is its own mirror image in z, the upper half, and nothing crosses the plane between them;
+    2 interval by interval, which cells move and what they hold (`vessel_frame`);
+    3 the fluxes of each interval (`layer_closing`), every rank for some consecutive ones.
     """
-    geometry, grid, omega = scene.geometry, scene.grid, scene.speed
+    geometry, omega = scene.geometry, scene.speed
     if np.abs(np.array(geometry.axis.direction) - (0.0, 0.0, 1.0)).max() > 1e-12:
         raise InputError("flow.name = 'surface-layer': the axis of rotation must run along z")
-    columns = lab_columns(scene, options)
     per_revolution = options.intervals or _intervals(scene)
-    multiple = options.steps_per_interval
-    shear_rate = layer_shear_rate(scene.material, options)
-    frame = VesselFrame(geometry, grid, columns, omega, scene.fill_volume, shear_rate)
-    vessel = TurnedVessel(frame.wall, frame.corner, frame.spacing, geometry.reach)
-    halves = 2 if frame.close_mirror_plane() else 1
-    solved = columns.upper_half() if halves == 2 else columns
-    law = slope_law(scene.material.friction, omega, geometry.reach, options.slope_excess)
-    level = level_height(geometry, scene.fill_volume) - geometry.axis.point[1]
-    flat = grid.dimension == 2
-    revolution = revolve(
-        vessel,
-        solved,
-        law,
-        omega,
-        level,
-        scene.fill_volume / halves,
-        per_revolution * multiple,
-        multiple,
-        (8, 1) if flat else (6, 3),
-        lambda share: progress(0.5 * share, "bed surface"),
-    )
-    steps = revolution.steps
-    if halves == 2:
-        steps = [step.mirrored() for step in steps]
-    count, prefix = len(steps) // multiple, revolution.prefix // multiple
+    frame = on_each(comm, lambda: _frame(scene, options))
+    revolution = _bed(scene, options, frame, per_revolution, comm, progress)
+    multiple = revolution.multiple
+    count, prefix = len(revolution.steps) // multiple, revolution.prefix // multiple
     times = np.arange(count + 1) * (2 * math.pi / omega / per_revolution)
-    frame.begin(steps[0])
-    parts = []
-    goal = frame.fill.copy()
-    for number in range(count):
-        if number == prefix:
-            goal = frame.fill.copy()
-        parts.append(
-            frame.advance(
-                steps[number * multiple : (number + 1) * multiple],
-                float(times[number]),
-                float(times[number + 1]),
-                goal if number == count - 1 else None,
-            )
-        )
-        progress(0.5 + 0.5 * (number + 1) / count, "fills and fluxes of the turning vessel")
-    findings = Findings(scene, solved, revolution, frame)
+    mine = _share(count, comm.rank, comm.size)
+
+    def fluxes() -> tuple[list[CompactInterval], Quality]:
+        quality, parts = Quality(), []
+        frame.begin(revolution.steps[0])
+        goal = frame.fill
+        for number in range(mine.stop):
+            if number == prefix:
+                goal = frame.fill.copy()
+            steps = revolution.steps[number * multiple : (number + 1) * multiple]
+            draft = frame.move(steps, goal if number == count - 1 else None)
+            if number in mine:
+                start, end = float(times[number]), float(times[number + 1])
+                parts.append(close_interval(frame, draft, steps, start, end, quality))
+            progress(0.5 + 0.5 * (number + 1) / mine.stop, "fills and fluxes of the turning vessel")
+        return parts, quality
+
+    parts, quality = on_each(comm, fluxes)
+    quality = Quality.over_ranks(comm.allgather(quality))
+    capacity, held = frame.capacity, parts
+    if frame.grid.counts != scene.grid.counts:
+        layers = capacity.reshape(frame.grid.shape)
+        capacity = np.concatenate([layers[::-1], layers]).ravel()
+        held = MirroredParts(parts, scene.grid.counts)
+    findings = Findings(scene, frame, revolution, quality)
     return FlowField(
-        grid=grid,
+        grid=scene.grid,
         frame="vessel",
         axis=geometry.axis,
         angular_velocity=omega,
-        intervals=CompactIntervals(parts, times, frame.capacity),
+        intervals=CompactIntervals(held, times, capacity, first=mine.start),
         prefix=prefix,
         summary=findings.summary(),
         warnings=findings.warnings(),
     )
+
+
+def _frame(scene: Scene, options: SurfaceLayer.Options) -> VesselFrame:
+    """The vessel on its grid, or the upper half of one that is its own mirror image."""
+    grid, columns = scene.grid, lab_columns(scene, options)
+    volume, half = scene.fill_volume, upper_half(scene.geometry, grid)
+    if half is not None:
+        grid, columns, volume = half, columns.upper_half(), 0.5 * volume
+    shear_rate = layer_shear_rate(scene.material, options)
+    return VesselFrame(scene.geometry, grid, columns, scene.speed, volume, shear_rate)
+
+
+def _bed(
+    scene: Scene,
+    options: SurfaceLayer.Options,
+    frame: VesselFrame,
+    per_revolution: int,
+    comm: Any,
+    progress: Progress,
+) -> Revolution:
+    """The bed's surface, on every rank: the vessel's lines traced by all, the bed by the root."""
+    geometry, multiple = scene.geometry, options.steps_per_interval
+    vessel = TurnedVessel(frame.wall, frame.corner, frame.spacing, geometry.reach)
+    sub_lines = (8, 1) if scene.grid.dimension == 2 else (6, 3)
+    turn = PhasedVessel.trace(
+        vessel, frame.columns, per_revolution * multiple, sub_lines, comm, progress
+    )
+    law = slope_law(scene.material.friction, scene.speed, geometry.reach, options.slope_excess)
+    level = level_height(geometry, scene.fill_volume) - geometry.axis.point[1]
+    return on_root(
+        comm,
+        lambda: revolve(
+            turn,
+            law,
+            scene.speed,
+            level,
+            frame.volume,
+            multiple,
+            lambda share: progress(0.2 + 0.3 * share, "bed surface"),
+        ),
+    )
+
+
+def _share(count: int, rank: int, size: int) -> range:
+    """Which of `count` intervals a rank closes.
+
+    Every rank goes through all moves up to its last interval, so the first ones close more:
+    with E_r the end of rank r's share, _MOVE E_r + (E_r - E_(r-1)) is the same for all.
+    """
+    ends = [0.0]
+    for _ in range(size):
+        ends.append((1.0 + ends[-1]) / (1.0 + _MOVE))
+    edges = [round(count * end / ends[-1]) for end in ends]
+    return range(edges[rank], edges[rank + 1])
 
 
 def lab_columns(scene: Scene, options: SurfaceLayer.Options) -> Columns:

@@ -152,14 +152,23 @@ def depth_below(layer, x, y, z):
 
 
 @njit(cache=True, inline="always")
-def look_up(layer, x, z, field):
-    """A field of the table at lab (x, z): bilinear, held constant beyond the edge."""
-    table = layer.table
-    n, m = table.shape[0], table.shape[1]
+def place_of(layer, x, z):
+    """(i, k, a, b): lattice point below lab (x, z) and shares of the way to the next ones.
+
+    Held constant beyond the edge.
+    """
+    n, m = layer.table.shape[0], layer.table.shape[1]
     s = min(max((x - layer.x0) / layer.dx, 0.0), n - 1.000001)
     t = min(max((z - layer.z0) / layer.dz, 0.0), m - 1.000001)
     i, k = np.uint64(s), np.uint64(t)
-    a, b = s - i, t - k
+    return i, k, s - i, t - k
+
+
+@njit(cache=True, inline="always")
+def field_at(layer, place, field):
+    """A field of the table, bilinear."""
+    table = layer.table
+    i, k, a, b = place
     one = np.uint64(1)
     return (1 - a) * ((1 - b) * table[i, k, field] + b * table[i, k + one, field]) + a * (
         (1 - b) * table[i + one, k, field] + b * table[i + one, k + one, field]
@@ -167,8 +176,14 @@ def look_up(layer, x, z, field):
 
 
 @njit(cache=True, inline="always")
-def layer_at(layer, x, z):
-    """(flux_x, flux_z, thickness) of the layer at lab (x, z), m^2/s and m."""
-    qx, qz = look_up(layer, x, z, 2), look_up(layer, x, z, 3)
+def look_up(layer, x, z, field):
+    """A field of the table at lab (x, z)."""
+    return field_at(layer, place_of(layer, x, z), field)
+
+
+@njit(cache=True, inline="always")
+def layer_at(layer, place):
+    """(flux_x, flux_z, thickness) of the layer at a place, m^2/s and m."""
+    qx, qz = field_at(layer, place, 2), field_at(layer, place, 3)
     delta = np.sqrt(2.0 * np.sqrt(qx * qx + qz * qz) / layer.shear_rate)
-    return qx, qz, max(min(delta, look_up(layer, x, z, 1)), layer.thinnest)
+    return qx, qz, max(min(delta, field_at(layer, place, 1)), layer.thinnest)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scaleup_surface_layer.lab_columns import depth_below, layer_at, look_up
+from scaleup_surface_layer.lab_columns import field_at, layer_at, look_up, place_of
 
 
 @njit(cache=True)
@@ -26,12 +26,13 @@ def _potential(layer, x, y, z):
 
     Zero far above the surface, where no wet face has an edge.
     """
-    depth = depth_below(layer, x, y, z)
+    place = place_of(layer, x, z)
+    depth = field_at(layer, place, 0) - y
     if depth >= layer.thickest:
         return 0.0, 0.0, depth, 0.0
     if depth < -4 * layer.thinnest:
         return 0.0, 0.0, depth, 1.0
-    qx, qz, delta = layer_at(layer, x, z)
+    qx, qz, delta = layer_at(layer, place)
     rest = 1.0 - min(max(depth / delta, 0.0), 1.0)
     return qx * rest * rest, qz * rest * rest, depth, rest
 
@@ -96,25 +97,48 @@ def _ahead(edges, index, place, strides, cell, kind, axis):
 
 
 @njit(cache=True)
-def add_layer_flux(
-    layer, phase, share, cells, index, across, apertures, counts, corner, spacing, flux, weight
+def add_layer(
+    layer,
+    phase,
+    share,
+    cells,
+    index,
+    across,
+    apertures,
+    counts,
+    corner,
+    spacing,
+    flux,
+    weight,
+    shear,
+    motion,
 ):
-    """Add a layer's flux through the lower faces of cells, and the weights for its correction.
+    """Add a layer's flux through lower faces of n cells, and what goes with it.
 
     phase     -- rad; share -- of the interval that this layer stands for
     cells     -- flat indices; index -- grid cell -> number in `cells`, or -1
     across    -- 0 or 1: the in-plane grid axis whose faces are wanted, beside those of z
     apertures -- open share of every grid cell's lower faces, (3, cells)
     corner    -- lower corner of the grid relative to the axis; counts, spacing -- (3,)
-    flux, weight -- (2, n), added to: row 0 for faces normal to `across`, row 1 for those to z
+    flux, weight -- (2, n), added to: row 0 for faces normal to `across`, row 1 for those to z;
+                    the weights are those of the fluxes' correction
+    shear, motion -- (n,) and (3, n), added to: shear rate (1/s) and velocity relative to rigid
+                    rotation (m/s, in vessel coordinates) at cell centres
     """
     c, s = np.cos(phase), np.sin(phase)
+    place = layer, c, s, corner, spacing
+    edges = _edges(layer, c, s, cells, counts, corner, spacing)
+    _add_flux(place, share, cells, index, across, apertures, counts, edges, flux, weight)
+    _add_shear(place, share, cells, counts, shear, motion)
+
+
+@njit(cache=True)
+def _add_flux(place, share, cells, index, across, apertures, counts, edges, flux, weight):
+    layer, c, s, corner, spacing = place
     nx, ny = counts[0], counts[1]
     strides = np.array([1, nx, nx * ny])
     flat = counts[2] == 1
     along = 1 - across
-    place = layer, c, s, corner, spacing
-    edges = _edges(layer, c, s, cells, counts, corner, spacing)
     lift = s if across == 0 else c  # of the lab's vertical along `across`
     for n in range(len(cells)):
         cell = cells[n]
@@ -123,7 +147,6 @@ def add_layer_flux(
             aperture = apertures[normal, cell]
             if aperture <= 0 or index[cell - strides[normal]] < 0:
                 continue
-            i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
             p, q = (normal + 1) % 3, (normal + 2) % 3
             if flat:  # edges along z alone; the others cancel
                 e0 = edges[n, 2]
@@ -142,6 +165,7 @@ def add_layer_flux(
                 continue
             area = spacing[p] * spacing[q]
             if wet < 1 and row == 0:
+                i, j, k = cell % nx, (cell // nx) % ny, cell // (nx * ny)
                 x = corner[0] + (i + (0.0 if across == 0 else 0.5)) * spacing[0]
                 y = corner[1] + (j + (0.0 if across == 1 else 0.5)) * spacing[1]
                 z = corner[2] + (k + 0.5) * spacing[2]
@@ -151,13 +175,9 @@ def add_layer_flux(
 
 
 @njit(cache=True)
-def add_layer_shear(layer, phase, share, cells, counts, corner, spacing, shear, motion):
-    """Add a layer's shear rate (n,) and velocity relative to rigid rotation (3, n) at cell centres.
-
-    The velocity is in vessel coordinates; the thickness of the layer is smooth, so its slope is
-    left out of the vertical component.
-    """
-    c, s = np.cos(phase), np.sin(phase)
+def _add_shear(place, share, cells, counts, shear, motion):
+    """The thickness of the layer is smooth, so its slope is left out of the vertical component."""
+    layer, c, s, corner, spacing = place
     nx, ny = counts[0], counts[1]
     middle = corner[2] + 0.5 * counts[2] * spacing[2]
     for n in range(len(cells)):
@@ -167,10 +187,12 @@ def add_layer_shear(layer, phase, share, cells, counts, corner, spacing, shear, 
         vy = corner[1] + (j + 0.5) * spacing[1]
         z = corner[2] + (k + 0.5) * spacing[2]
         x, y = c * vx - s * vy, s * vx + c * vy
-        depth = depth_below(layer, x, y, z)
+        here = place_of(layer, x, z)
+        top = field_at(layer, here, 0)
+        depth = top - y
         if depth >= layer.thickest or depth < -4 * layer.thinnest:
             continue
-        qx, qz, delta = layer_at(layer, x, z)
+        qx, qz, delta = layer_at(layer, here)
         q = np.sqrt(qx * qx + qz * qz)
         rest = 1.0 - min(max(depth / delta, 0.0), 1.0)
         if rest <= 0 or q == 0:
@@ -178,11 +200,11 @@ def add_layer_shear(layer, phase, share, cells, counts, corner, spacing, shear, 
         ux, uz = 2 * qx / delta * rest, 2 * qz / delta * rest
         # slopes from the surface a column's width apart, towards the axis of rotation
         e = 2 * layer.dx if x < 0 else -2 * layer.dx
-        slope_x = (depth_below(layer, x + e, y, z) - depth) / e
+        slope_x = (look_up(layer, x + e, z, 0) - top) / e
         slope_z = 0.0
         if counts[2] > 1:
             e = 2 * layer.dz if z < middle else -2 * layer.dz
-            slope_z = (depth_below(layer, x, y, z + e) - depth) / e
+            slope_z = (look_up(layer, x, z + e, 0) - top) / e
         w = ux * slope_x + uz * slope_z
         shear[n] += share * 2 * q / delta**2
         motion[0, n] += share * (c * ux + s * w)

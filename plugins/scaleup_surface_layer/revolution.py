@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
+from scaleup_surface_layer.lab_columns import BedState, BedStep
 from scaleup_surface_layer.rotation import bed_surface, turn
 from scaleup_surface_layer.sandpile import SlopeLaw, relax
-from scaleup_surface_layer.turned_vessel import ColumnShape, TurnedVessel
+from scaleup_surface_layer.turned_vessel import Outline, PhasedVessel
 
 _DRY = 1e-6  # of a column's width: less depth than this is none
 _REPEATS = 1e-3  # of the bed's volume may differ from one revolution to the next
@@ -23,7 +23,7 @@ class Revolution:
     """Steps from the level bed on; those from `prefix` on are one revolution that repeats.
 
     steps    -- prefix + one revolution of them; multiple -- of them in an interval
-    shapes   -- the vessel in the columns, at the phases of one revolution
+    outlines -- the vessel in the columns, at the phases of one revolution
     mismatch -- share of the bed's volume that differs between the ends of that revolution
     rehomed  -- volume put elsewhere than rotation left it, per revolution, over the bed's
     drift    -- greatest relative change of the bed's volume
@@ -31,7 +31,7 @@ class Revolution:
 
     steps: list[BedStep]
     multiple: int
-    shapes: list[ColumnShape]
+    outlines: list[Outline]
     prefix: int
     mismatch: float
     rehomed: float
@@ -39,38 +39,33 @@ class Revolution:
 
 
 def revolve(
-    vessel: TurnedVessel,
-    columns: Columns,
+    vessel: PhasedVessel,
     law: SlopeLaw,
     omega: float,
     level: float,
     volume: float,
-    per_revolution: int,
     multiple: int,
-    sub_lines: tuple[int, int],
     progress: Callable[[float], None],
 ) -> Revolution:
-    """Turn the vessel until the bed repeats itself.
+    """Turn the vessel until the bed repeats itself; there is a step between two phases.
 
-    level          -- m, of the bed at rest, relative to the axis; volume -- m^3
-    per_revolution -- steps per revolution, a multiple of `multiple`: the prefix is one too
+    level    -- m, of the bed at rest, relative to the axis; volume -- m^3
+    multiple -- the prefix is one of it in steps, as the revolution is
     """
+    columns, shapes, per_revolution = vessel.columns, vessel.shapes, len(vessel.shapes)
     angle = 2 * math.pi / per_revolution
     limit = 1.5 * law.friction
-    shape = vessel.columns(columns, 0.0, sub_lines)
+    shape = shapes[0]
     depth = np.clip(level, shape.floor, np.maximum(shape.roof, shape.floor)) - shape.floor
-    held = np.where(shape.roof > shape.floor, depth, 0.0).mean(axis=(2, 3))
+    held = np.where(shape.roof > shape.floor, depth, 0.0).mean(axis=(2, 3), dtype=float)
     held *= volume / (held.sum() * columns.dx * columns.dz)
     total = held.sum()
     tops = bed_surface(shape, held, limit, columns)
     state = _state(columns, shape, held, tops, 0.0, law.friction)
-    history, steps, shapes = [held], [], [shape]
+    history, steps = [held], []
     moved, drift = 0.0, 0.0
     for number in range(1, 3 * per_revolution + 1):
-        again = number % per_revolution
-        if number < per_revolution:
-            shapes.append(vessel.columns(columns, number * angle, sub_lines))
-        turned = shapes[again]
+        turned = shapes[number % per_revolution]
         landed, misplaced = turn(columns, shape, held, tops, turned, angle)
         held, qx, qz = relax(columns, turned, landed, law, angle / omega)
         moved += misplaced
@@ -88,7 +83,7 @@ def revolve(
     return Revolution(
         steps=steps,
         multiple=multiple,
-        shapes=shapes,
+        outlines=[shape.outline for shape in shapes],
         prefix=number - per_revolution,
         mismatch=float(mismatch),
         rehomed=float(moved / total * per_revolution / number),

@@ -7,20 +7,31 @@ as inside, and the share of such lines is told.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from scaleup.api import FloatArray
+from scaleup.api import FloatArray, Progress, on_each
 from scaleup_surface_layer.lab_columns import Columns
+
+
+class Outline(NamedTuple):
+    """Mean floor and roof of columns, m, and the share of lines that leave the vessel between."""
+
+    low: FloatArray
+    high: FloatArray
+    broken: float
 
 
 @dataclass(frozen=True)
 class ColumnShape:
     """The vessel in every column at one phase.
 
-    floor, roof -- m, on the sub-lines, (nx, nz, sx, sz); roof < floor where there is no vessel
+    floor, roof -- m, on the sub-lines, (nx, nz, sx, sz), single precision; roof < floor where
+                   there is no vessel
     open        -- share of the column's sub-lines that meet the vessel, (nx, nz)
     low, high   -- mean floor and roof over them, m, (nx, nz)
     broken      -- share of the sub-lines in the vessel that leave it in between
@@ -37,6 +48,11 @@ class ColumnShape:
     def capacity(self) -> FloatArray:
         """m^3 per m^2 of footprint, (nx, nz)."""
         return self.open * (self.high - self.low)
+
+    @property
+    def outline(self) -> Outline:
+        """What is left without the sub-lines."""
+        return Outline(self.low, self.high, self.broken)
 
 
 @dataclass(frozen=True)
@@ -67,13 +83,49 @@ class TurnedVessel:
             floor,
             roof,
         )
+        floor, roof = floor.astype(np.float32), roof.astype(np.float32)  # many are kept
         inside = roof > floor
         count = inside.sum(axis=(2, 3))
         some = np.maximum(count, 1)
-        low = np.where(inside, floor, 0.0).sum(axis=(2, 3)) / some
-        high = np.where(inside, roof, 0.0).sum(axis=(2, 3)) / some
+        low = np.where(inside, floor, 0.0).sum(axis=(2, 3), dtype=float) / some
+        high = np.where(inside, roof, 0.0).sum(axis=(2, 3), dtype=float) / some
         lines = sub_lines[0] * sub_lines[1]
         return ColumnShape(floor, roof, count / lines, low, high, broken / max(total, 1))
+
+
+@dataclass(frozen=True)
+class PhasedVessel:
+    """The vessel in columns at equally spaced phases of one revolution.
+
+    shapes -- at phase 0, 1, ... steps of 2 pi/len(shapes); on the root alone
+    """
+
+    columns: Columns
+    shapes: list[ColumnShape]
+
+    @staticmethod
+    def trace(
+        vessel: TurnedVessel,
+        columns: Columns,
+        steps: int,
+        sub_lines: tuple[int, int],
+        comm: Any,
+        progress: Progress,
+    ) -> PhasedVessel:
+        """Trace `steps` phases, each by one of the ranks (collective)."""
+
+        def some() -> list[ColumnShape]:
+            traced = []
+            for number in range(comm.rank, steps, comm.size):
+                traced.append(vessel.columns(columns, 2 * math.pi * number / steps, sub_lines))
+                progress(0.2 * number / steps, "vertical lines through the vessel")
+            return traced
+
+        parts = comm.gather(on_each(comm, some))
+        shapes = (
+            [] if parts is None else [parts[n % comm.size][n // comm.size] for n in range(steps)]
+        )
+        return PhasedVessel(columns, shapes)
 
 
 @njit(cache=True)

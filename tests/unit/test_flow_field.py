@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from scaleup.errors import ContractError
 from scaleup.storage import read_flow, write_flow
@@ -87,7 +88,7 @@ def test_coarsening_keeps_the_invariants():
 
 def test_a_stored_flow_is_the_same_flow(tmp_path):
     flow = sloshing(prefix=1)
-    write_flow(tmp_path / "flow.h5", flow)
+    write_flow(tmp_path / "flow.h5", flow, MPI.COMM_SELF)
     stored = read_flow(tmp_path / "flow.h5")
     assert (stored.grid, stored.prefix, stored.frame) == (flow.grid, 1, "vessel")
     assert np.array_equal(stored.times, flow.times)

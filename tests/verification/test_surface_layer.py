@@ -4,13 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from scaleup.api import Material, Scene, grid_over
 from scaleup.storage import read_flow, write_flow
 from scaleup.testing import check_flow
 from scaleup_drum import Drum
 from scaleup_surface_layer import SurfaceLayer
+from scaleup_surface_layer import general as general_model
 from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
+from scaleup_surface_layer.layer_closing import Quality, close_interval
 from scaleup_surface_layer.sandpile import relax, slope_law
 from scaleup_surface_layer.turned_vessel import ColumnShape
 from scaleup_surface_layer.vessel_frame import VesselFrame
@@ -26,7 +29,7 @@ def general(vessel, cells, fill, speed=SPEED, **options):
     scene = Scene(vessel, Material(), speed, fill * vessel.volume, grid)
     plugin = SurfaceLayer(SurfaceLayer.Options(model="general", **options))
     plugin.check(vessel, speed)
-    return plugin.solve(scene, None, lambda share, message: None, None)
+    return plugin.solve(scene, MPI.COMM_SELF, lambda share, message: None, None)
 
 
 def flux_down_the_surface(flow, number, angle, places, half_width):
@@ -85,14 +88,16 @@ def test_fluxes_of_a_known_surface_need_a_correction_that_falls_faster_than_the_
     for cells in (32, 64, 128):
         frame, steps, volume = known_drum(cells)
         frame.begin(steps[0])
+        quality = Quality()
         seconds = 2 * math.pi / SPEED / len(steps)
         assert frame.fill.sum() == pytest.approx(volume, rel=1e-13)
         for n, step in enumerate(steps[:6]):
-            part = frame.advance([step], n * seconds, (n + 1) * seconds)
+            draft = frame.move([step])
+            part = close_interval(frame, draft, [step], n * seconds, (n + 1) * seconds, quality)
             moves = np.abs(part.flux).max(axis=0) > 0
             # the passive bed has exactly no flux
             assert moves.sum() < 0.75 * (frame.fill > 0).sum()
-        corrections.append(frame.quality.correction / frame.quality.model)
+        corrections.append(quality.correction / quality.model)
     orders = np.log2(np.array(corrections[:-1]) / corrections[1:])
     assert orders.min() > 1.0
     assert corrections[-1] < 0.005
@@ -133,7 +138,7 @@ def test_flow_in_any_vessel_keeps_the_contract(solved, tmp_path):
     assert flow.period == pytest.approx(2 * math.pi / SPEED)
     last = flow.intervals[len(flow.intervals) - 1]
     assert 0 < (last.shear_rate > 0).sum() < 0.8 * len(last.cells)
-    write_flow(tmp_path / "flow.h5", flow)
+    write_flow(tmp_path / "flow.h5", flow, MPI.COMM_SELF)
     stored = read_flow(tmp_path / "flow.h5")
     check_flow(stored, vessel, 0.4 * vessel.volume)
     again = stored.intervals[flow.prefix]
@@ -148,7 +153,7 @@ def test_coarse_cells_of_a_lazy_flow_keep_the_contract(solved):
 
 def test_half_of_a_symmetric_vessel_equals_the_whole(monkeypatch):
     halved = general(Vee(), 24, 0.3, intervals=60)
-    monkeypatch.setattr(VesselFrame, "close_mirror_plane", lambda self: False)
+    monkeypatch.setattr(general_model, "upper_half", lambda geometry, grid: None)
     whole = general(Vee(), 24, 0.3, intervals=60)
     layers = whole.grid.counts[2] // 2
     for number in (10, 30, 50):
