@@ -23,7 +23,7 @@ FLOORS = [
         "conservative_bed",
         "compact_intervals",
     },
-    {"flux_correction", "step_guard"},
+    {"flux_correction", "step_guard", "flow_check"},
     {"explicit_transport"},
     {"api", "loading", "diffusion_tensor", "metrics"},
     {"testing", "config", "storage", "figures", "verification", "skeleton"},

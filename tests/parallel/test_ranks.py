@@ -57,6 +57,112 @@ if comm.rank == 0:
 """
 
 
+SHARED = """
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from scaleup import parallel
+
+comm = parallel.start()
+from scaleup.compact_intervals import CompactInterval, CompactIntervals
+from scaleup.errors import ContractError, RunError
+from scaleup.flow_check import check_flow, check_shared_flow
+from scaleup.storage import read_flow, write_flow
+from synthetic import sloshing
+
+whole = sloshing(prefix=2)
+volume = float(whole.intervals[0].fill_start.sum())
+parts = [CompactInterval.of(part) for part in whole.intervals]
+edges = np.linspace(0, len(parts), comm.size + 1).astype(int)
+
+
+def shared(parts, first, stop):
+    held = CompactIntervals(parts[first:stop], whole.times, None, first)
+    return dataclasses.replace(whole, intervals=held)
+
+
+def refused(flow, says):
+    try:
+        check_shared_flow(flow, None, None, comm)
+    except ContractError as error:
+        assert says in str(error), str(error)
+    else:
+        raise AssertionError(f"accepted: {says}")
+
+
+first, stop = edges[comm.rank], edges[comm.rank + 1]
+own = shared(parts, first, stop)
+check_shared_flow(own, None, volume, comm)
+write_flow(Path(sys.argv[1]), own, comm)
+check_flow(read_flow(Path(sys.argv[1])), fill_volume=volume)
+
+def lowered(part):
+    less = 0.01 * whole.grid.cell_volume * (np.arange(len(part.cells)) == 20)
+    start, end = part.fill_start - less, part.fill_end - less
+    return dataclasses.replace(part, fill_start=start, fill_end=end)
+
+
+jump = [lowered(part) if n >= edges[-2] else part for n, part in enumerate(parts)]
+refused(shared(jump, first, stop), "jumps")  # where the last two ranks join
+refused(shared(parts, first, stop - (comm.rank == comm.size - 1)), "held by no rank")
+open_ended = shared(parts[:-1], first, min(stop, len(parts) - 1))
+open_ended.intervals._times = whole.times[:-1]
+refused(open_ended, "the periodic part")  # whose ends lie on the last and on the first rank
+
+
+def fail():
+    if comm.rank == 1:
+        raise RunError("rank one cannot")
+
+
+try:
+    parallel.on_each(comm, fail)
+except RunError:
+    count = comm.allreduce(1)
+    print(count if comm.rank == 0 else "", end="")
+"""
+
+GENERAL = """
+import sys
+from pathlib import Path
+
+from scaleup import parallel
+
+comm = parallel.start()
+from scaleup.config import compose
+from scaleup.flow_source import obtain_flow
+
+config = compose(None, ["flow.model=general", "flow.intervals=24", "grid.spacing='6 mm'"],
+                 {"geometry": {"name": "v-blender"}, "flow": {"name": "surface-layer"}})
+outcome = obtain_flow(config, comm)
+assert len(outcome.flow.intervals) - outcome.flow.prefix == 24
+assert 100 < len(outcome.flow.intervals[30].cells)
+"""
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_a_flow_shared_out_is_checked_where_ranks_join_and_stored_whole(on_ranks, ranks, tmp_path):
+    assert on_ranks(ranks, SHARED, str(tmp_path / "flow.h5")).strip() == str(ranks)
+
+
+def test_the_surface_layer_is_the_same_on_one_and_on_three_ranks(on_ranks, tmp_path, monkeypatch):
+    flows = []
+    for ranks in (1, 3):
+        monkeypatch.setenv("SCALEUP_CACHE", str(tmp_path / str(ranks)))
+        on_ranks(ranks, GENERAL)
+        (path,) = (tmp_path / str(ranks)).glob("flow-*.h5")
+        with h5py.File(path, "r") as file:
+            flows.append({name: data[...] for name, data in file["intervals"].items()})
+    one, three = flows
+    for name in ("first", "first_run", "cells", "still"):
+        assert np.array_equal(one[name], three[name]), name
+    for name in ("fill_start", "fill_end", "flux", "shear_rate"):
+        assert np.abs(one[name] - three[name]).max() <= 1e-12 * np.abs(one[name]).max(), name
+
+
 @pytest.mark.parametrize("ranks", [1, 2, 3, 4])
 def test_ghosts_carry_their_owners_values_and_the_bed_is_shared_evenly(on_ranks, ranks):
     assert on_ranks(ranks, GHOSTS).strip() == "good"
