@@ -113,7 +113,8 @@ def _bed(
 ) -> Revolution:
     """The bed's surface, on every rank: the vessel's lines traced by all, the bed by the root."""
     geometry, multiple = scene.geometry, options.steps_per_interval
-    vessel = TurnedVessel(frame.wall, frame.corner, frame.spacing, geometry.reach)
+    wall = frame.wall.astype(np.float32)  # read at random: the less of it the better
+    vessel = TurnedVessel(wall, frame.corner, frame.spacing, geometry.reach)
     sub_lines = (8, 1) if scene.grid.dimension == 2 else (6, 3)
     turn = PhasedVessel.trace(
         vessel, frame.columns, per_revolution * multiple, sub_lines, comm, progress

@@ -59,7 +59,7 @@ class ColumnShape:
 class TurnedVessel:
     """Samples of the signed distance on the corners of the vessel's own grid.
 
-    wall    -- m, (nz + 1, ny + 1, nx + 1), a single layer in 2-D
+    wall    -- m, (nz + 1, ny + 1, nx + 1), a single layer in 2-D; single precision will do
     corner  -- lower corner of the samples relative to the axis; spacing -- between them
     reach   -- m, from the axis
     """
@@ -129,48 +129,43 @@ class PhasedVessel:
 
 
 @njit(cache=True)
-def _distance(wall, corner, spacing, x, y, z):
-    """Signed distance at a vessel point, trilinear; continued outside the samples."""
+def _distance(wall, fx, fy, fz):
+    """Signed distance, trilinear, at a place within the samples, in spacings from their corner."""
     nz, ny, nx = wall.shape
-    fx, fy = (x - corner[0]) / spacing[0], (y - corner[1]) / spacing[1]
-    gx, gy = min(max(fx, 0.0), nx - 1.0), min(max(fy, 0.0), ny - 1.0)
-    i, j = min(int(gx), nx - 2), min(int(gy), ny - 2)
-    a, b = gx - i, gy - j
-    outside = ((fx - gx) * spacing[0]) ** 2 + ((fy - gy) * spacing[1]) ** 2
-    if nz > 1:
-        fz = (z - corner[2]) / spacing[2]
-        gz = min(max(fz, 0.0), nz - 1.0)
-        k = min(int(gz), nz - 2)
-        e = gz - k
-        outside += ((fz - gz) * spacing[2]) ** 2
-        value = 0.0
-        for m in range(2):
-            w = e if m else 1 - e
-            layer = wall[k + m]
-            value += w * (
-                (1 - b) * ((1 - a) * layer[j, i] + a * layer[j, i + 1])
-                + b * ((1 - a) * layer[j + 1, i] + a * layer[j + 1, i + 1])
-            )
-    else:
+    i, j = max(min(int(fx), nx - 2), 0), max(min(int(fy), ny - 2), 0)
+    a, b = fx - i, fy - j
+    if nz == 1:
         layer = wall[0]
-        value = (1 - b) * ((1 - a) * layer[j, i] + a * layer[j, i + 1]) + b * (
+        return (1 - b) * ((1 - a) * layer[j, i] + a * layer[j, i + 1]) + b * (
             (1 - a) * layer[j + 1, i] + a * layer[j + 1, i + 1]
         )
-    return value - np.sqrt(outside)
+    k = max(min(int(fz), nz - 2), 0)
+    e = fz - k
+    value = 0.0
+    for m in range(2):
+        w = e if m else 1 - e
+        layer = wall[k + m]
+        value += w * (
+            (1 - b) * ((1 - a) * layer[j, i] + a * layer[j, i + 1])
+            + b * ((1 - a) * layer[j + 1, i] + a * layer[j + 1, i + 1])
+        )
+    return value
 
 
 @njit(cache=True)
-def _enter(wall, corner, spacing, c, s, x, z, start, stop, least):
-    """Where a vertical line first meets the inside between two heights, or nan.
+def _enter(wall, line, start, stop, least):
+    """Where a line first meets the inside on the way between two heights, or nan.
 
+    line -- place in spacings at height 0, and its change per m of height, of the three axes
     Steps as far as the distance allows, then interpolates.
     """
+    px, py, pz, ux, uy = line
     way = 1.0 if stop > start else -1.0
     y = start
     before, d = y, 0.0
     while (stop - y) * way >= 0:
         last = d
-        d = _distance(wall, corner, spacing, c * x + s * y, -s * x + c * y, z)
+        d = _distance(wall, px + ux * y, py + uy * y, pz)
         if d > 0:
             if last < 0:
                 return before + (y - before) * last / (last - d)
@@ -181,22 +176,42 @@ def _enter(wall, corner, spacing, c, s, x, z, start, stop, least):
 
 
 @njit(cache=True)
+def _within(place, change, last, low, high):
+    """Between which heights a coordinate lies in [0, last]; low > high if nowhere."""
+    if abs(change) < 1e-12:
+        return (low, high) if 0 <= place <= last else (1.0, -1.0)
+    one, other = -place / change, (last - place) / change
+    return max(low, min(one, other)), min(high, max(one, other))
+
+
+@njit(cache=True)
 def _trace(wall, corner, spacing, reach, phase, place, floor, roof):
     c, s = np.cos(phase), np.sin(phase)
     x0, dx, z0, dz = place
     nx, nz, sx, sz = floor.shape
+    most_z, most_y, most_x = wall.shape[0] - 1, wall.shape[1] - 1, wall.shape[2] - 1
     least = 0.5 * spacing[0]
+    ux, uy = s / spacing[0], c / spacing[1]
     total, broken = 0, 0
     for i in range(nx):
         for k in range(nz):
             for p in range(sx):
                 x = x0 + (i + (p + 0.5) / sx) * dx
+                px, py = (c * x - corner[0]) / spacing[0], (-s * x - corner[1]) / spacing[1]
+                start, stop = _within(px, ux, most_x, -reach, reach)
+                start, stop = _within(py, uy, most_y, start, stop)
+                if start > stop:
+                    continue
                 for q in range(sz):
                     z = z0 + (k + (q + 0.5) / sz) * dz
-                    low = _enter(wall, corner, spacing, c, s, x, z, -reach, reach, least)
+                    pz = (z - corner[2]) / spacing[2]
+                    if most_z > 0 and not 0 <= pz <= most_z:
+                        continue
+                    line = px, py, pz, ux, uy
+                    low = _enter(wall, line, start, stop, least)
                     if np.isnan(low):
                         continue
-                    high = _enter(wall, corner, spacing, c, s, x, z, reach, low, least)
+                    high = _enter(wall, line, stop, low, least)
                     if not high > low:
                         continue
                     floor[i, k, p, q], roof[i, k, p, q] = low, high
@@ -205,7 +220,7 @@ def _trace(wall, corner, spacing, reach, phase, place, floor, roof):
                     total += 1  # one line of a column is looked at for gaps
                     for e in range(1, 8):
                         y = low + (high - low) * e / 8
-                        d = _distance(wall, corner, spacing, c * x + s * y, -s * x + c * y, z)
+                        d = _distance(wall, px + ux * y, py + uy * y, pz)
                         if d < -spacing[0]:
                             broken += 1
                             break
