@@ -18,7 +18,6 @@ import numpy as np
 from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
 
 _SLACK = 1e-9  # of the rule, so that round-off merges no cell
-_MEETS = 0.05  # of what leaves a group: less between it and a neighbour is no bond
 _LITTLE = 1e-3  # fill fraction: content of 1e-17 of a cell is 1e-14 of its concentration
 
 
@@ -77,9 +76,9 @@ def merge(
     dt     -- s, the step; full cells must obey the rule at it
 
     Algorithm: while a group breaks the rule, or starts or ends with so little that its
-    concentration would be round-off, it takes in the neighbouring group that brings its ratio of
-    what leaves to what it holds down most, among those that it exchanges material with: cells on
-    both sides of a plane that hardly anything crosses must not be made one.
+    concentration would be round-off, it takes in the neighbouring group that it exchanges most
+    with: what is mixed by merging then mixes by the flow anyway, and cells on both sides of a plane
+    that hardly anything crosses are not made one.
     """
     root = _merge(below, flux, spread, held, dt)
     size = np.bincount(root, minlength=len(root))
@@ -136,7 +135,7 @@ def _merge(
         group = root[queue.pop()]
         if not _breaks(rate[group] * dt, start[group], end[group], held[group]):
             continue
-        best, best_bond, best_ratio, best_rate = -1, False, np.inf, 0.0
+        best, best_inner, best_rate = -1, 0.0, 0.0
         member = group
         while True:
             for axis in range(dimension):
@@ -149,11 +148,9 @@ def _merge(
                         continue
                     candidate = root[other]
                     inner = _between(group, candidate, root, following, below, above, flux, spread)
-                    joint = max(rate[group] + rate[candidate] - inner, 0.0)
-                    ratio = joint / max(held[group] + held[candidate], 1e-300)
-                    bond = inner >= _MEETS * rate[group]
-                    if (bond and not best_bond) or (bond == best_bond and ratio < best_ratio):
-                        best, best_bond, best_ratio, best_rate = candidate, bond, ratio, joint
+                    if inner > best_inner:
+                        best, best_inner = candidate, inner
+                        best_rate = max(rate[group] + rate[candidate] - inner, 0.0)
             member = following[member]
             if member == group:
                 break

@@ -114,7 +114,9 @@ def test_general_model_converges_to_the_closed_form_of_the_drum():
         assert math.degrees(angle) == pytest.approx(23.6, abs=0.5)
         errors.append(drum_error(flow, angle, b, drum.radius, drum.depth))
     l1, midbed = np.array(errors).T
-    assert np.log2(l1[0] / l1[-1]) / 2 >= 1.0
+    assert -np.polyfit(np.log([30, 60, 120]), np.log(l1), 1)[0] >= 1.0
+    # the default, 467 cells across, is finer
+    assert l1[-1] < 0.01
     assert midbed[-1] < 0.01
     assert not flow.warnings
 
