@@ -20,10 +20,11 @@ from scaleup.api import (
     flow_from_stream_function,
     froude_number,
 )
+from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.steady import mid_bed, sample, surface_speed
 
 if TYPE_CHECKING:
-    from scaleup_mohr_coulomb.steady import SteadyBed
+    from scaleup_mohr_coulomb.steady import MidBed, SteadyBed
 
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
@@ -149,6 +150,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "upflow_midbed": middle.upflow,
         "rigid_upflow_midbed": middle.rigid_upflow,
         "axis_to_surface": middle.axis_distance,
+        **_layer(middle, bed.angular_velocity),
         "volume_drift": bed.area_correction,
         "swings_averaged": bed.swings,
         "surface_angle_source": "solved; the error is the scatter between swings",
@@ -156,6 +158,16 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "time_steps": bed.steps,
         "time_stepping_s": bed.seconds,
     }
+
+
+def _layer(middle: MidBed, speed: float) -> dict[str, Any]:
+    """What `surface-layer` may take as its `shear_rate` for the same material."""
+    b, depth = middle.axis_distance, middle.reversal_depth
+    flux = middle.rigid_upflow + 0.5 * speed * ((b + depth) ** 2 - b**2)
+    found: dict[str, Any] = {"layer_shear_rate": layer_shear_rate(flux, b, depth, speed)}
+    if found["layer_shear_rate"] is None:
+        found["layer_shear_rate_reason"] = "no linear layer with this flux reverses so deep"
+    return found
 
 
 def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:

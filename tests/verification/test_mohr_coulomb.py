@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from netgen.occ import Circle, Pnt
+from scipy.optimize import brentq
 
 from scaleup.config import compose, fill_volume
 from scaleup.errors import RunError
 from scaleup.flow_source import obtain_flow
 from scaleup.scene import Material
 from scaleup.testing import check_flow
+from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.level_set import LevelSet, Transport
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
@@ -141,6 +143,21 @@ def test_swings_are_counted_on_a_known_history():
     assert np.diff(t[crossings]) == pytest.approx(0.75, abs=0.03)
 
 
+def test_the_layers_shear_rate_is_found_again_from_a_drum_in_closed_form():
+    """delta = sqrt(2 q/rate): its reversal depth gives the rate back; one too deep gives none."""
+    omega, radius, b = 2 * math.pi / 10, 0.07, 0.021
+    flux = 0.5 * omega * (radius**2 - b**2)
+    for rate in (5.0, 11.1, 40.0):
+        delta = math.sqrt(2 * flux / rate)
+
+        def speed(h, delta=delta):
+            return 2 * flux / delta * (1 - h / delta) - omega * (b + h)
+
+        reversal = brentq(speed, 0.0, delta)
+        assert layer_shear_rate(flux, b, reversal, omega) == pytest.approx(rate, rel=1e-9)
+    assert layer_shear_rate(flux, b, 0.06, omega) is None
+
+
 def test_a_coarse_drum_end_to_end(store):
     """The contract, the flux that rigid rotation demands, and reuse on another grid."""
     asked = [*COARSE, "flow.angle_tolerance='1 deg'"]
@@ -152,6 +169,7 @@ def test_a_coarse_drum_end_to_end(store):
     assert figures["flux_midbed"] == pytest.approx(figures["rigid_upflow_midbed"], rel=0.2)
     assert figures["flux_midbed"] == pytest.approx(figures["upflow_midbed"], rel=0.1)
     assert figures["projection_change"] < 0.05
+    assert 3.0 < figures["layer_shear_rate"] < 40.0
     # the FlowField carries what the raw field carries: its stream function's peak is the downflow
     across = flow.intervals[0].face_fluxes(flow.grid)[0]
     psi = np.cumsum(across, axis=0) / flow.grid.depth
