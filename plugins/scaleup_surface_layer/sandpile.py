@@ -10,16 +10,20 @@ exceeds mu by the share eps at the flux omega R^2/2. No flux leaves an empty col
 one, or passes a closed wall. The gradient lives on column corners, with the mean square of the
 differences that meet there, so that no direction is preferred.
 
-A step is rotation (`rotation`), then relaxation over its duration by one Runge-Kutta-Chebyshev step
-of first order, damped: explicit, with a number of stages that grows as the square root of the
-stiffness. It is written for the flux, of which every stage is a sum, so that volume is kept
-whatever the accuracy; what would empty or overfill a column is cut from the flux at the end.
+A step is rotation (`rotation`), then relaxation over its duration. Most of that time passes on
+columns twice as wide (and of theirs on columns four times as wide, and so on), the last part, in
+which a bump a few columns wide dies out, on the columns themselves: the work is then in proportion
+to the columns. Each part is one Runge-Kutta-Chebyshev step of first order, damped: explicit, stable
+whatever the duration, since the number of stages grows as the square root of the stiffness. It is
+written for the flux, of which every stage is a sum, so that volume is kept whatever the accuracy;
+what would empty or overfill a column is cut from the flux at the end.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -32,6 +36,8 @@ _DAMPING = 3000.0  # the more, the less a step overshoots; stages grow as its fo
 _STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / width^2
 _FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
 _SWEEPS = 200  # over all columns, at most, in which a flux is cut to what they hold
+_LAST = 256.0  # of width^2 / conductance: the part of a step that passes on the finest columns
+_FEWEST = 32  # columns across on which a step passes at once
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
 
 
@@ -61,26 +67,225 @@ def relax(
     columns: Columns, shape: ColumnShape, volume: FloatArray, law: SlopeLaw, duration: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Volumes after `duration` (s), and the mean fluxes (nx + 1, nz) and (nx, nz + 1), m^2/s."""
-    flat = columns.nz == 1
-    width = columns.dx if flat else min(columns.dx, columns.dz)
-    passage = _passage(shape.open, shape.low, shape.high, flat)
+    level = Level(columns.dx, columns.dz, shape.open, shape.low, shape.high)
+    after, qx, qz = _relax_from_coarse(level, volume, law, duration)
+    return after, qx / duration, qz / duration
+
+
+def _relax_from_coarse(
+    level: Level, volume: FloatArray, law: SlopeLaw, duration: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Volumes after `duration`, and time integrals of the fluxes, m^2.
+
+    1 all but the last part of the time passes on columns twice as wide, in the same way;
+    2 their fluxes are spread over the columns, so that each wide column's gain is shared alike;
+    3 the last part passes on the columns themselves.
+    """
+    last = _LAST * level.width**2 / law.conductance
+    if last > 0.5 * duration or min(level.across) < _FEWEST:
+        return _relax_at_once(level, volume, law, duration)
+    coarse = level.coarse()
+    _, wide_x, wide_z = _relax_from_coarse(
+        coarse, _restricted(volume, level.flat), law, duration - last
+    )
+    passage = level.passage
+    first_x, first_z = _prolonged(
+        volume, level.capacity, wide_x, wide_z, passage[0], passage[1], level.dx, level.dz
+    )
+    between = _limited(volume, level.capacity, first_x, first_z, level.dx, level.dz)
+    after, qx, qz = _relax_at_once(level, between, law, last)
+    return after, first_x + qx, first_z + qz
+
+
+def _relax_at_once(
+    level: Level, volume: FloatArray, law: SlopeLaw, duration: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     qx, qz = _chebyshev(
         volume,
-        shape.open,
-        shape.low,
-        shape.high - shape.low,
-        passage,
-        columns.dx,
-        columns.dz,
-        flat,
+        level.open,
+        level.low,
+        level.high - level.low,
+        level.passage,
+        level.dx,
+        level.dz,
+        level.flat,
         (law.friction, law.conductance, law.smooth, law.greatest),
-        _FILM * width,
+        _FILM * level.width,
         duration,
-        _stages(_STIFF * law.conductance / width**2 * duration),
+        _stages(_STIFF * law.conductance / level.width**2 * duration),
         _DAMPING,
     )
-    after = _limited(volume, shape.capacity, qx, qz, columns.dx, columns.dz)
-    return after, qx / duration, qz / duration
+    after = _limited(volume, level.capacity, qx, qz, level.dx, level.dz)
+    return after, qx, qz
+
+
+@dataclass(frozen=True)
+class Level:
+    """The vessel in columns of one width.
+
+    dx, dz -- m; open, low, high -- as in `ColumnShape`, (nx, nz)
+    """
+
+    dx: float
+    dz: float
+    open: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @property
+    def flat(self) -> bool:
+        """Whether this is a cross-section."""
+        return self.open.shape[1] == 1
+
+    @property
+    def across(self) -> tuple[int, ...]:
+        """Columns along x and z."""
+        return self.open.shape[:1] if self.flat else self.open.shape
+
+    @property
+    def width(self) -> float:
+        """M, the smaller one."""
+        return self.dx if self.flat else min(self.dx, self.dz)
+
+    @cached_property
+    def capacity(self) -> FloatArray:
+        """m^3 per m^2 of footprint, (nx, nz)."""
+        return self.open * (self.high - self.low)
+
+    @cached_property
+    def passage(self) -> tuple[FloatArray, ...]:
+        """See `_passage`."""
+        return _passage(self.open, self.low, self.high, self.flat)  # type: ignore[no-any-return]
+
+    def coarse(self) -> Level:
+        """The same in columns twice as wide."""
+        share = _restricted(self.open, self.flat)
+        some = np.maximum(share, 1e-300)
+        return Level(
+            2 * self.dx,
+            self.dz if self.flat else 2 * self.dz,
+            share,
+            _restricted(self.open * self.low, self.flat) / some,
+            _restricted(self.open * self.high, self.flat) / some,
+        )
+
+
+def _restricted(values: FloatArray, flat: bool) -> FloatArray:
+    """Means over columns twice as wide; what is beyond the edge counts as zero."""
+    nx, nz = values.shape
+    padded = np.pad(values, ((0, nx % 2), (0, 0 if flat else nz % 2)))
+    pairs = 0.5 * (padded[::2] + padded[1::2])
+    return pairs if flat else 0.5 * (pairs[:, ::2] + pairs[:, 1::2])
+
+
+@njit(cache=True)
+def _prolonged(volume, capacity, wide_x, wide_z, open_x, open_z, dx, dz):
+    """Fluxes through column faces from those of columns twice as wide, all integrated over time.
+
+    A wide face's flux is shared out among its faces as they are open; within a wide column the
+    faces carry what shares its gain alike among the columns that can take it.
+    """
+    nx, nz = volume.shape
+    flat = nz == 1
+    qx, qz = np.zeros((nx + 1, nz)), np.zeros((nx, nz + 1))
+    columns_x, columns_z = wide_x.shape[0] - 1, wide_z.shape[1] - 1
+    parts = 1 if flat else 2
+    for ii in range(1, columns_x):  # faces of wide columns
+        for kk in range(columns_z):
+            total = 0.0
+            for b in range(parts):
+                if parts * kk + b < nz:
+                    total += open_x[2 * ii, parts * kk + b]
+            for b in range(parts):
+                k = parts * kk + b
+                if k < nz and total > 0:
+                    qx[2 * ii, k] = wide_x[ii, kk] * parts * open_x[2 * ii, k] / total
+    if not flat:
+        for ii in range(columns_x):
+            for kk in range(1, columns_z):
+                total = 0.0
+                for a in range(2):
+                    if 2 * ii + a < nx:
+                        total += open_z[2 * ii + a, 2 * kk]
+                for a in range(2):
+                    i = 2 * ii + a
+                    if i < nx and total > 0:
+                        qz[i, 2 * kk] = wide_z[ii, kk] * 2 * open_z[i, 2 * kk] / total
+    need = np.zeros((2, 2))
+    for ii in range(columns_x):
+        for kk in range(columns_z):
+            _share_gain(volume, capacity, qx, qz, ii, kk, dx, dz, need)
+            i, k = 2 * ii, parts * kk
+            if i + 1 >= nx:
+                if not flat and k + 1 < nz and open_z[i, k + 1] > 0:
+                    qz[i, k + 1] = -need[0, 0] * dz
+                continue
+            if flat or k + 1 >= nz:
+                if open_x[i + 1, k] > 0:
+                    qx[i + 1, k] = -need[0, 0] * dx
+                continue
+            # around the four columns, with nothing through the face between (0, 0) and (0, 1)
+            x0 = -need[0, 0] * dx
+            z1 = (x0 / dx - need[1, 0]) * dz
+            x1 = (need[1, 1] - z1 / dz) * dx
+            z0 = 0.0
+            if open_z[i, k + 1] <= 0:
+                turn = 0.0
+            elif open_x[i + 1, k] <= 0:
+                turn = -x0 / dx
+            elif open_z[i + 1, k + 1] <= 0:
+                turn = -z1 / dz
+            elif open_x[i + 1, k + 1] <= 0:
+                turn = x1 / dx
+            else:  # least squares
+                turn = -(x0 * dx + z1 * dz - x1 * dx) / (2 * dx * dx + 2 * dz * dz)
+            qx[i + 1, k] = (x0 + turn * dx) * (open_x[i + 1, k] > 0)
+            qz[i + 1, k + 1] = (z1 + turn * dz) * (open_z[i + 1, k + 1] > 0)
+            qx[i + 1, k + 1] = (x1 - turn * dx) * (open_x[i + 1, k + 1] > 0)
+            qz[i, k + 1] = (z0 - turn * dz) * (open_z[i, k + 1] > 0)
+    return qx, qz
+
+
+@njit(cache=True)
+def _share_gain(volume, capacity, qx, qz, ii, kk, dx, dz, need):
+    """What each column of a wide one still has to gain beyond what its outer faces bring."""
+    nx, nz = volume.shape
+    parts = 1 if nz == 1 else 2
+    total, count, taken, share = 0.0, 0, 0.0, 0.0
+    gains = np.zeros((2, 2))
+    for a in range(2):
+        for b in range(parts):
+            i, k = 2 * ii + a, parts * kk + b
+            need[a, b] = 0.0
+            if i >= nx or k >= nz:
+                continue
+            comes = (qx[i, k] if a == 0 else -qx[i + 1, k]) / dx
+            if parts == 2:
+                comes += (qz[i, k] if b == 0 else -qz[i, k + 1]) / dz
+            need[a, b] = -comes
+            total += comes
+            count += capacity[i, k] > 0
+    room = 0.0
+    for step in range(2):  # alike, then in proportion to the room that is left
+        for a in range(2):
+            for b in range(parts):
+                i, k = 2 * ii + a, parts * kk + b
+                if i >= nx or k >= nz or capacity[i, k] <= 0:
+                    continue
+                held = volume[i, k] + gains[a, b]
+                free = capacity[i, k] - held if total > 0 else held
+                if step == 0:
+                    part = min(abs(total) / count, max(free, 0.0))
+                    gains[a, b] = part if total > 0 else -part
+                    taken += part
+                    room += max(free - part, 0.0)
+                else:
+                    part = share * max(free, 0.0)
+                    gains[a, b] += part if total > 0 else -part
+        share = min(max(abs(total) - taken, 0.0) / room, 1.0) if room > 0 else 0.0
+    for a in range(2):
+        for b in range(parts):
+            need[a, b] += gains[a, b]
 
 
 def _stages(stiffness: float) -> int:
