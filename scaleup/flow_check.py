@@ -13,12 +13,13 @@ from scaleup.compact_intervals import CompactInterval, CompactIntervals, cells_o
 from scaleup.cut_cells import cut_fraction
 from scaleup.errors import ContractError
 from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray
+from scaleup.grid import FloatArray, IntArray
 from scaleup.parallel import on_each
 
 _ROUND_OFF = 1e-12
 
 _End = tuple[float, FloatArray]
+"""When an interval ends, s, and what every cell of the grid then holds, m^3."""
 
 
 def check_flow(flow: FlowField, geometry: Any = None, fill_volume: float | None = None) -> None:
@@ -120,7 +121,9 @@ class _FlowChecker:
         self._grid, self._capacity, self._fill_volume = grid, capacity, fill_volume
         self._slack = _ROUND_OFF * grid.cell_volume
         self._index = np.full(grid.cells, -1, dtype=np.int64)
+        self._marked = np.zeros(grid.cells, dtype=bool)
         self._end: _End | None = None
+        self._active: IntArray = np.zeros(0, dtype=np.int64)
 
     @property
     def held(self) -> tuple[int, int, int]:
@@ -140,13 +143,13 @@ class _FlowChecker:
 
     def check_first(self, before: _End) -> None:
         """The first interval held here begins when and as the one before it ended."""
-        self._check_joined(self._parts[0], before, f"interval {self._first}")
+        self._check_begins(self._parts[0], before, f"interval {self._first}")
 
     def check_wrap(self, end: _End | None) -> None:
         """The repeating part begins as it ends."""
         if end is not None and self.begins_period:
             part = self._parts[self._prefix - self._first]
-            self._check_joined(part, (part.start, end[1]), "the periodic part")
+            self._check_begins(part, (part.start, end[1]), "the periodic part")
 
     def _check(self, part: CompactInterval, where: str) -> None:
         grid, duration = self._grid, part.end - part.start
@@ -186,12 +189,16 @@ class _FlowChecker:
         exact = 1e-9 if part.direction.dtype == np.float64 else 1e-5
         if np.any((np.abs(length - 1.0) > exact) & (length > exact)):
             raise ContractError(f"{where}: direction must be unit vectors or zero")
-        if self._end is not None:
-            self._check_joined(part, self._end, where)
-        ends = np.zeros(grid.cells)
-        ends[resting] = self._capacity[resting]
-        ends[part.cells] = part.fill_end
-        self._end = part.end, ends
+        active = np.concatenate([part.cells, resting])
+        if self._end is None:
+            self._end = part.end, np.zeros(grid.cells)
+        else:
+            self._check_joined(part, resting, self._end, self._active, where)
+        fill = self._end[1]
+        fill[self._active] = 0.0
+        fill[resting] = self._capacity[resting]
+        fill[part.cells] = part.fill_end
+        self._end, self._active = (part.end, fill), active
 
     def _outflow(self, part: CompactInterval, where: str) -> FloatArray:
         """div(flux) of each cell, m^3/s; every face with flux must lie between two of them."""
@@ -211,14 +218,25 @@ class _FlowChecker:
             raise ContractError(f"{where}: a flux of {leak:.2g} m^3/s leaves the bed")
         return total
 
-    def _check_joined(self, part: CompactInterval, before: _End, where: str) -> None:
-        end, ends = before
+    def _check_joined(
+        self, part: CompactInterval, resting: IntArray, before: _End, held: IntArray, where: str
+    ) -> None:
+        """The fill before an interval, in cells `held` and no others, is what it begins with."""
+        end, fill = before
         if end != part.start:
             raise ContractError(f"{where}: starts at {part.start:g} s, not at {end:g} s")
-        resting = cells_of_runs(part.still)
-        difference = ends.copy()
-        difference[resting] -= self._capacity[resting]
-        difference[part.cells] -= part.fill_start
-        jump = float(np.abs(difference).max()) / self._grid.cell_volume
+        self._marked[resting] = self._marked[part.cells] = True
+        gone = held[~self._marked[held]]
+        self._marked[resting] = self._marked[part.cells] = False
+        differences = (
+            fill[part.cells] - part.fill_start,
+            fill[resting] - self._capacity[resting],
+            fill[gone],
+        )
+        jump = max(float(np.abs(d).max(initial=0.0)) for d in differences) / self._grid.cell_volume
         if jump > 1e-9:
             raise ContractError(f"{where}: the fill jumps by {jump:.2g} of a cell where it joins")
+
+    def _check_begins(self, part: CompactInterval, before: _End, where: str) -> None:
+        held = np.flatnonzero(before[1])
+        self._check_joined(part, cells_of_runs(part.still), before, held, where)
