@@ -24,7 +24,7 @@ from scaleup_surface_layer.detectors import Findings
 from scaleup_surface_layer.lab_columns import Columns
 from scaleup_surface_layer.layer_closing import Quality, close_interval
 from scaleup_surface_layer.revolution import Revolution, revolve
-from scaleup_surface_layer.sandpile import slope_law
+from scaleup_surface_layer.sandpile import FEWEST, slope_law
 from scaleup_surface_layer.turned_vessel import PhasedVessel, TurnedVessel
 from scaleup_surface_layer.vessel_frame import VesselFrame, upper_half
 
@@ -155,13 +155,21 @@ def lab_columns(scene: Scene, options: SurfaceLayer.Options) -> Columns:
     spacing = options.column_spacing or max(1.5 * grid.spacing[0], 2 * reach / _ACROSS)
     if grid.dimension == 2:
         spacing = options.column_spacing or max(grid.spacing[0], 2 * reach / (4 * _ACROSS))
-    across = 2 * max(8, math.ceil(reach / spacing - 1e-9))
+    across = _divisible(2 * max(8, math.ceil(reach / spacing - 1e-9)))
     dx = 2 * reach / across
     if grid.dimension == 2:
         return Columns(-reach, dx, across, -0.5 * grid.depth, grid.depth, 1)
     width = geometry.upper[2] - geometry.lower[2]
-    along = 2 * max(1, round(0.5 * width / dx))
+    along = 2 * _divisible(max(1, round(0.5 * width / dx)))
     return Columns(-reach, dx, across, geometry.lower[2], width / along, along)
+
+
+def _divisible(count: int) -> int:
+    """The count, or a little more, so that columns can be halved until there are few across."""
+    multiple = 1
+    while count >= FEWEST * multiple:
+        multiple *= 2
+    return multiple * math.ceil(count / multiple)
 
 
 def _intervals(scene: Scene) -> int:

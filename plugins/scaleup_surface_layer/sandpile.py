@@ -37,7 +37,7 @@ _STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / 
 _FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
 _SWEEPS = 200  # over all columns, at most, in which a flux is cut to what they hold
 _LAST = 256.0  # of width^2 / conductance: the part of a step that passes on the finest columns
-_FEWEST = 32  # columns across on which a step passes at once
+FEWEST = 32  # columns across, fewer than which a step passes at once
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
 
 
@@ -82,7 +82,7 @@ def _relax_from_coarse(
     3 the last part passes on the columns themselves.
     """
     last = _LAST * level.width**2 / law.conductance
-    if last > 0.5 * duration or min(level.across) < _FEWEST:
+    if last > 0.5 * duration or min(level.across) < FEWEST or any(n % 2 for n in level.across):
         return _relax_at_once(level, volume, law, duration)
     coarse = level.coarse()
     _, wide_x, wide_z = _relax_from_coarse(
@@ -171,10 +171,8 @@ class Level:
 
 
 def _restricted(values: FloatArray, flat: bool) -> FloatArray:
-    """Means over columns twice as wide; what is beyond the edge counts as zero."""
-    nx, nz = values.shape
-    padded = np.pad(values, ((0, nx % 2), (0, 0 if flat else nz % 2)))
-    pairs = 0.5 * (padded[::2] + padded[1::2])
+    """Means over columns twice as wide."""
+    pairs = 0.5 * (values[::2] + values[1::2])
     return pairs if flat else 0.5 * (pairs[:, ::2] + pairs[:, 1::2])
 
 
@@ -187,48 +185,33 @@ def _prolonged(volume, capacity, wide_x, wide_z, open_x, open_z, dx, dz):
     """
     nx, nz = volume.shape
     flat = nz == 1
-    qx, qz = np.zeros((nx + 1, nz)), np.zeros((nx, nz + 1))
-    columns_x, columns_z = wide_x.shape[0] - 1, wide_z.shape[1] - 1
     parts = 1 if flat else 2
-    for ii in range(1, columns_x):  # faces of wide columns
-        for kk in range(columns_z):
-            total = 0.0
-            for b in range(parts):
-                if parts * kk + b < nz:
-                    total += open_x[2 * ii, parts * kk + b]
-            for b in range(parts):
-                k = parts * kk + b
-                if k < nz and total > 0:
-                    qx[2 * ii, k] = wide_x[ii, kk] * parts * open_x[2 * ii, k] / total
+    qx, qz = np.zeros((nx + 1, nz)), np.zeros((nx, nz + 1))
+    for i in range(2, nx, 2):  # faces of wide columns
+        for k in range(0, nz, parts):
+            total = open_x[i, k : k + parts].sum()
+            if total > 0:
+                for b in range(k, k + parts):
+                    qx[i, b] = wide_x[i // 2, k // parts] * parts * open_x[i, b] / total
     if not flat:
-        for ii in range(columns_x):
-            for kk in range(1, columns_z):
-                total = 0.0
-                for a in range(2):
-                    if 2 * ii + a < nx:
-                        total += open_z[2 * ii + a, 2 * kk]
-                for a in range(2):
-                    i = 2 * ii + a
-                    if i < nx and total > 0:
-                        qz[i, 2 * kk] = wide_z[ii, kk] * 2 * open_z[i, 2 * kk] / total
-    need = np.zeros((2, 2))
-    for ii in range(columns_x):
-        for kk in range(columns_z):
-            _share_gain(volume, capacity, qx, qz, ii, kk, dx, dz, need)
-            i, k = 2 * ii, parts * kk
-            if i + 1 >= nx:
-                if not flat and k + 1 < nz and open_z[i, k + 1] > 0:
-                    qz[i, k + 1] = -need[0, 0] * dz
-                continue
-            if flat or k + 1 >= nz:
+        for i in range(0, nx, 2):
+            for k in range(2, nz, 2):
+                total = open_z[i : i + 2, k].sum()
+                if total > 0:
+                    for a in range(i, i + 2):
+                        qz[a, k] = wide_z[i // 2, k // 2] * 2 * open_z[a, k] / total
+    need = np.zeros((2, parts))
+    for i in range(0, nx, 2):
+        for k in range(0, nz, parts):
+            _share_gain(volume, capacity, qx, qz, i, k, dx, dz, need)
+            if flat:
                 if open_x[i + 1, k] > 0:
                     qx[i + 1, k] = -need[0, 0] * dx
                 continue
-            # around the four columns, with nothing through the face between (0, 0) and (0, 1)
+            # around the four columns, at first with nothing through the face from (0, 0) to (0, 1)
             x0 = -need[0, 0] * dx
             z1 = (x0 / dx - need[1, 0]) * dz
             x1 = (need[1, 1] - z1 / dz) * dx
-            z0 = 0.0
             if open_z[i, k + 1] <= 0:
                 turn = 0.0
             elif open_x[i + 1, k] <= 0:
@@ -242,50 +225,39 @@ def _prolonged(volume, capacity, wide_x, wide_z, open_x, open_z, dx, dz):
             qx[i + 1, k] = (x0 + turn * dx) * (open_x[i + 1, k] > 0)
             qz[i + 1, k + 1] = (z1 + turn * dz) * (open_z[i + 1, k + 1] > 0)
             qx[i + 1, k + 1] = (x1 - turn * dx) * (open_x[i + 1, k + 1] > 0)
-            qz[i, k + 1] = (z0 - turn * dz) * (open_z[i, k + 1] > 0)
+            qz[i, k + 1] = -turn * dz * (open_z[i, k + 1] > 0)
     return qx, qz
 
 
 @njit(cache=True)
-def _share_gain(volume, capacity, qx, qz, ii, kk, dx, dz, need):
-    """What each column of a wide one still has to gain beyond what its outer faces bring."""
-    nx, nz = volume.shape
-    parts = 1 if nz == 1 else 2
-    total, count, taken, share = 0.0, 0, 0.0, 0.0
-    gains = np.zeros((2, 2))
+def _share_gain(volume, capacity, qx, qz, i, k, dx, dz, need):
+    """What each column of the wide one at (i, k) has to gain beyond what its outer faces bring."""
+    parts = need.shape[1]
+    total, count, taken, share, room = 0.0, 0, 0.0, 0.0, 0.0
     for a in range(2):
         for b in range(parts):
-            i, k = 2 * ii + a, parts * kk + b
-            need[a, b] = 0.0
-            if i >= nx or k >= nz:
-                continue
-            comes = (qx[i, k] if a == 0 else -qx[i + 1, k]) / dx
+            comes = (qx[i, k + b] if a == 0 else -qx[i + 2, k + b]) / dx
             if parts == 2:
-                comes += (qz[i, k] if b == 0 else -qz[i, k + 1]) / dz
+                comes += (qz[i + a, k] if b == 0 else -qz[i + a, k + 2]) / dz
             need[a, b] = -comes
             total += comes
-            count += capacity[i, k] > 0
-    room = 0.0
+            count += capacity[i + a, k + b] > 0
+    gains = np.zeros((2, parts))
     for step in range(2):  # alike, then in proportion to the room that is left
         for a in range(2):
             for b in range(parts):
-                i, k = 2 * ii + a, parts * kk + b
-                if i >= nx or k >= nz or capacity[i, k] <= 0:
+                limit = capacity[i + a, k + b]
+                if limit <= 0:
                     continue
-                held = volume[i, k] + gains[a, b]
-                free = capacity[i, k] - held if total > 0 else held
+                held = volume[i + a, k + b] + gains[a, b]
+                free = max(limit - held if total > 0 else held, 0.0)
+                part = min(abs(total) / count, free) if step == 0 else share * free
+                gains[a, b] += part if total > 0 else -part
                 if step == 0:
-                    part = min(abs(total) / count, max(free, 0.0))
-                    gains[a, b] = part if total > 0 else -part
                     taken += part
-                    room += max(free - part, 0.0)
-                else:
-                    part = share * max(free, 0.0)
-                    gains[a, b] += part if total > 0 else -part
+                    room += free - part
         share = min(max(abs(total) - taken, 0.0) / room, 1.0) if room > 0 else 0.0
-    for a in range(2):
-        for b in range(parts):
-            need[a, b] += gains[a, b]
+    need += gains
 
 
 def _stages(stiffness: float) -> int:
