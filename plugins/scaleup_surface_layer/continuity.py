@@ -145,6 +145,8 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
 
     n = segments.count
     lower, upper = segments.lower, segments.upper
+    if len(w) == 0:
+        return np.zeros(n)
     diagonal = np.bincount(lower, w, n) + np.bincount(upper, w, n)
     roots = segments.roots
     diagonal[roots] += np.where(diagonal[roots] > 0, diagonal[roots], 1.0)

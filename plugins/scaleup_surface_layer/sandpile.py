@@ -36,7 +36,7 @@ _DAMPING = 3000.0  # the more, the less a step overshoots; stages grow as its fo
 _STIFF = 5.0  # greatest eigenvalue of the flux' derivative, over conductance / width^2
 _FILM = 0.1  # of a column's width: a thinner film flows in proportion to its depth
 _SWEEPS = 200  # over all columns, at most, in which a flux is cut to what they hold
-_LAST = 256.0  # of width^2 / conductance: the part of a step that passes on the finest columns
+_LAST = 512.0  # of width^2 / conductance: the part of a step that passes on the finest columns
 FEWEST = 32  # columns across, fewer than which a step passes at once
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
 

@@ -12,6 +12,7 @@ from scaleup.testing import check_flow
 from scaleup_drum import Drum
 from scaleup_surface_layer import SurfaceLayer, sandpile
 from scaleup_surface_layer import general as general_model
+from scaleup_surface_layer.continuity import close_balance, find_segments
 from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
 from scaleup_surface_layer.layer_closing import Quality, close_interval
 from scaleup_surface_layer.sandpile import relax, slope_law
@@ -232,6 +233,17 @@ def test_a_drum_in_wide_and_fine_columns_has_the_exact_flux():
     exact = 0.5 * SPEED * (drum.radius**2 - b**2)
     assert flow.summary["flux_midbed"] == pytest.approx(exact, rel=2e-3)
     assert flow.summary["detector_steep"] < 0.02
+
+
+def test_segments_without_a_neighbour_are_balanced_too():
+    """Two cells one above the other and nothing beside: continuity alone."""
+    below, beside = np.array([-1, 0]), np.full((1, 2), -1)
+    segments = find_segments(below, beside, np.zeros(2, dtype=np.int32), 1)
+    flux, gain = np.ones((1, 2)), np.array([-3.0, 3.0])
+    through = close_balance(segments, below, flux, np.ones((1, 2)), gain)
+    assert segments.count == 1
+    assert np.array_equal(through, [0.0, 3.0])
+    assert np.abs(flux).max() == 0.0
 
 
 def test_detectors_tell_what_is_wrong_and_when():
