@@ -8,8 +8,8 @@ diffusion, b that of the filter and R the function of the Runge-Kutta scheme,
     z = -i sum_i nu_i sin t_i (1 - 2/3 sum_{j != i} s_j)
         - 4 sum_i mu_ii s_i - 2 sum_{i<j} mu_ij sin t_i sin t_j.
 
-m is positive; the real part of z is not, for any positive tensor; R is at most 1 in size on the left
-half plane and goes to 0 far out (L-stable). Hence |g| <= 1 at any step.
+m is positive; the real part of z is not, for any positive tensor; R is at most 1 in size on the
+left half plane and goes to 0 far out (L-stable). Hence |g| <= 1 at any step.
 """
 
 from __future__ import annotations
