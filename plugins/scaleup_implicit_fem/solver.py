@@ -57,16 +57,21 @@ class LinearSolver:
             ksp.setFromOptions()
             self._direct = ksp.getType() == PETSc.KSP.Type.PREONLY
             ksp.setInitialGuessNonzero(not self._direct)
-            near = csr_matrix(scaling @ near)
-            ksp.setOperators(
-                self._matrix, self._matrix if self._direct else distributed(unknowns, near)
-            )
+            self._near = self._matrix
+            if not self._direct:
+                self._near = distributed(unknowns, csr_matrix(scaling @ near))
+            ksp.setOperators(self._matrix, self._near)
             ksp.setUp()
         except PETSc.Error as error:
             raise InputError(f"mixing.petsc_options = {options!r}: {_sentence(error)}") from error
         finally:
             for name in given:
                 PETSc.Options(PREFIX).delValue(name)
+
+    def destroy(self) -> None:
+        """Free PETSc's memory, which on several ranks nobody else does; collective."""
+        for each in (self._ksp, self._near, self._matrix, self._x, self._b):
+            each.destroy()
 
     def set_diagonal(self, diagonal: FloatArray) -> None:
         """Replace the diagonal; a Krylov solver keeps its preconditioner. Collective."""

@@ -77,7 +77,12 @@ class Transport(ExplicitTransport[Bed]):
         index: int,
     ):
         self._options = options
+        self._systems: dict[str, _System] = {}
         super().__init__(scene, options, concentration, index)
+
+    def carry_over(self, before: Bed) -> None:
+        """The field holds the values; what PETSc holds for the bed before goes."""
+        before.unknowns.vector.destroy()
 
     def make_bed(self, interval: Interval) -> Bed:
         """The bed with its unknowns."""
@@ -99,13 +104,14 @@ class Transport(ExplicitTransport[Bed]):
         self._low = rows_of(pairs, pairs.low, own, size)
         self._mass = rows_of(pairs, np.stack([-pairs.mass, pairs.mass]), own, size)
         self._fluxes = np.zeros((self.moved, len(pairs.first)))
-        self._dt, self._systems = 0.0, {}
+        self._forget()
         self._fills = self.split.largest(float(unknowns.fills)) > 0
 
     def steps(self, start: float, dt: float, count: int, ledger: Ledger) -> None:
         """Steps of the algorithm above."""
         if abs(self._dt - dt) > _SAME_STEP * dt:
-            self._dt, self._systems = dt, {}
+            self._forget()
+            self._dt = dt
             self._filter = Filter(self.bed.unknowns, self._low.diagonal() * dt)
         self._iterations = 0
         c = self.bed.unknowns.read(self.field.flat)
@@ -114,6 +120,12 @@ class Transport(ExplicitTransport[Bed]):
         self.bed.unknowns.write(c, self.field.flat)
         self.field.exchange()
         ledger.iterations += self._iterations
+
+    def _forget(self) -> None:
+        """Drop what holds for one length of step; collective."""
+        for system in self._systems.values():
+            system.solver.destroy()
+        self._dt, self._systems = 0.0, {}
 
     def _step(self, c: FloatArray, start: float) -> FloatArray:
         dt, unknowns, pairs = self._dt, self.bed.unknowns, self.bed.unknowns.pairs
