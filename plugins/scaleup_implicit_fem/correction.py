@@ -78,7 +78,7 @@ class Correction:
         fluxes -= allowed
         content = old
         kernels.move(content, allowed, *self._ends)
-        open_pairs = np.arange(fluxes.shape[1])
+        open_pairs = np.arange(fluxes.shape[1], dtype=np.int32)
         for _ in range(_PASSES):
             kernels.find_shares(shares, content, after, fluxes, *self._ends, open_pairs)
             self._unknowns.exchange(shares)
