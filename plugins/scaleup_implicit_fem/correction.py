@@ -29,6 +29,7 @@ from scaleup_implicit_fem.unknowns import Unknowns
 EMPTY = 1e-14  # fill fraction at which an unknown counts as empty
 _ROUND_OFF = 1e-14  # beyond the bounds that needs no correction
 _PASSES = 60
+_ENOUGH = 1e-7  # content of a full cell: passes that move less are not worth it
 
 
 class Correction:
@@ -82,8 +83,8 @@ class Correction:
         for _ in range(_PASSES):
             kernels.find_shares(shares, content, after, fluxes, *self._ends, open_pairs)
             self._unknowns.exchange(shares)
-            left = kernels.move_share(content, fluxes, shares, *self._ends, open_pairs)
+            left, most = kernels.move_share(content, fluxes, shares, *self._ends, open_pairs)
             open_pairs = open_pairs[:left]
-            if not self._largest(float(left)) > 0:
+            if not self._largest(most) > _ENOUGH:
                 break
         return content

@@ -86,12 +86,13 @@ def move_share(
     first: IntArray,
     second: IntArray,
     open_pairs: IntArray,
-) -> int:
+) -> tuple[int, float]:
     """Move alpha flux and keep the rest, alpha the least share of those that give.
 
-    Pairs that keep next to nothing are closed; returns how many stay open, listed first.
+    Pairs that keep next to nothing are closed; returns how many stay open, listed first, and the
+    most that was moved.
     """
-    count, kept = len(flux), 0
+    count, kept, most = len(flux), 0, 0.0
     for p in open_pairs:
         i, j = first[p], second[p]
         alpha, rest = 1.0, 0.0
@@ -109,10 +110,11 @@ def move_share(
             content[m, j] += moved
             flux[m, p] -= moved
             greatest = max(greatest, abs(flux[m, p]))
+            most = max(most, abs(moved))
         if greatest > NEGLIGIBLE:
             open_pairs[kept] = p
             kept += 1
-    return kept
+    return kept, most
 
 
 @numba.njit(cache=True)
