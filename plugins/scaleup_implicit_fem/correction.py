@@ -24,9 +24,9 @@ import numpy as np
 
 from scaleup.api import FloatArray
 from scaleup_implicit_fem import kernels
+from scaleup_implicit_fem.operators import EMPTY
 from scaleup_implicit_fem.unknowns import Unknowns
 
-EMPTY = 1e-14  # fill fraction at which an unknown counts as empty
 _ROUND_OFF = 1e-14  # beyond the bounds that needs no correction
 _PASSES = 60
 _ENOUGH = 1e-7  # content of a full cell: passes that move less are not worth it

@@ -41,6 +41,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from scaleup.api import BoolArray, FloatArray, Grid, IntArray, Interval
 
+EMPTY = 1e-14  # fill fraction at which a cell counts as empty
 _AXIS_MASS = {2: 1 / 18, 3: 1 / 72}
 _DIAGONAL_MASS = 1 / 36
 
@@ -133,7 +134,7 @@ def find_pairs(
     first, second = joined[:2]
     coupled = (number[first] >= 0) & (number[second] >= 0) & (number[first] != number[second])
     first, second, q, upwind, k, k_low, m, smooth = (part[coupled] for part in joined)
-    fills = (start <= 0) | (end <= 0)
+    fills = (start <= EMPTY) | (end <= EMPTY)
     blunt = fills[first] | fills[second]
     low = np.stack([np.maximum(upwind, 0) + k_low, np.minimum(upwind, 0) - k_low])
     high = np.stack([0.5 * q + k, 0.5 * q - k])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 
 import numpy as np
@@ -14,7 +15,7 @@ from scaleup_implicit_fem.unknowns import Unknowns
 PREFIX = "implicit_fem_"
 _MOST_ITERATIONS = 500
 _RESTART = 60
-_LEAST = 1e-300  # of a residual, however small the right side
+_LEAST = 1e-15  # root mean square of a residual that is round-off, concentrations being about 1
 
 
 class LinearSolver:
@@ -50,7 +51,8 @@ class LinearSolver:
         ksp.getPC().setType(PETSc.PC.Type.BJACOBI)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
-        ksp.setTolerances(rtol=tolerance, atol=_LEAST, max_it=_MOST_ITERATIONS)
+        least = _LEAST * math.sqrt(unknowns.total)
+        ksp.setTolerances(rtol=tolerance, atol=least, max_it=_MOST_ITERATIONS)
         ksp.setOptionsPrefix(PREFIX)
         given = set_options(options)
         try:

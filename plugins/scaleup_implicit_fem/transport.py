@@ -109,6 +109,8 @@ class Transport(ExplicitTransport[Bed]):
 
     def steps(self, start: float, dt: float, count: int, ledger: Ledger) -> None:
         """Steps of the algorithm above."""
+        if self.bed.unknowns.total == 0:  # all is at rest
+            return
         if abs(self._dt - dt) > _SAME_STEP * dt:
             self._forget()
             self._dt = dt

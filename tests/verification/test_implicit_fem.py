@@ -201,6 +201,18 @@ def test_contract_with_several_components():
     check_mixing(backend(), scene_of(flow), c / c.sum(axis=0), 1.6)
 
 
+def test_a_bed_at_rest_stays_as_it_is():
+    flow = sloshing(columns=24, rows=12)
+    part = flow.intervals[0]
+    still = replace(part, flux=np.zeros_like(part.flux), fill_end=part.fill_start)
+    flow = replace(flow, intervals=[still], prefix=0)
+    c = np.random.default_rng(4).random(len(part.cells))
+    solver, none = backend(), np.zeros((2, 2, len(c)))
+    solver.start(replace(scene_of(flow), tensor=lambda _: none), np.stack([c, 1 - c]))
+    assert solver.advance(0, part.start, part.end).iterations == 0
+    assert solver.concentration(still)[0] == pytest.approx(c, abs=1e-15)
+
+
 def test_iterations_do_not_grow_with_the_number_of_cells():
     counts = []
     for n in (64, 256):
