@@ -45,7 +45,7 @@ class LinearSolver:
         scaling = diags(self._scale)
         self._matrix = distributed(unknowns, csr_matrix(scaling @ rows))
         self._x, self._b = self._matrix.createVecs()
-        self._ksp = ksp = PETSc.KSP().create(unknowns.vector.comm)
+        self._ksp = ksp = PETSc.KSP().create(unknowns.comm)
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setGMRESRestart(_RESTART)
         ksp.getPC().setType(PETSc.PC.Type.BJACOBI)
@@ -112,7 +112,7 @@ def distributed(unknowns: Unknowns, rows: csr_matrix) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(
         size=((own, total), (own, total)),
         csr=(*parts, renumbered.data),
-        comm=unknowns.vector.comm,
+        comm=unknowns.comm,
     )
 
 

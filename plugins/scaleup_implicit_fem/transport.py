@@ -82,7 +82,7 @@ class Transport(ExplicitTransport[Bed]):
 
     def carry_over(self, before: Bed) -> None:
         """The field holds the values; what PETSc holds for the bed before goes."""
-        before.unknowns.vector.destroy()
+        before.unknowns.destroy()
 
     def make_bed(self, interval: Interval) -> Bed:
         """The bed with its unknowns."""

@@ -25,7 +25,7 @@ class Unknowns:
     first  -- number of this rank's first
     pairs  -- all that involve one of its own, in local numbers
     size   -- of local arrays: own ones and ghosts
-    dimension -- of the grid
+    dimension, comm -- of the grid and of the ranks
     number -- (size,) numbers on all ranks of those in local arrays
     """
 
@@ -64,11 +64,8 @@ class Unknowns:
             for fill in (interval.fill_start, interval.fill_end)
         )
         self._interval = interval
-        ghosts = here[self.count :].astype(PETSc.IntType)
-        self.vector = PETSc.Vec().createGhost(
-            ghosts, size=(self.count, self.total), comm=split.comm
-        )
-        self._alone = split.comm.size == 1
+        self.comm = split.comm
+        self._ghosted: dict[int, PETSc.Vec] = {}  # by number of rows
 
     def fraction(self, time: float) -> FloatArray:
         """Fill fractions at a time (s) of the interval, (size,); of a group the members' sum."""
@@ -93,14 +90,26 @@ class Unknowns:
 
     def exchange(self, here: FloatArray) -> None:
         """Overwrite the ghosts of (m, size) by their owners' values; collective."""
-        if self._alone:
+        if self.comm.size == 1:
             return
-        vector = self.vector
-        for row in here:
-            vector.array[:] = row[: self.count]
-            vector.ghostUpdate()
-            with vector.localForm() as form:
-                row[self.count :] = form.array[self.count :]
+        rows = len(here)
+        if rows not in self._ghosted:
+            ghosts = self.number[self.count :].astype(PETSc.IntType)
+            size = (rows * self.count, rows * self.total)
+            self._ghosted[rows] = PETSc.Vec().createGhost(
+                ghosts, size=size, bsize=rows, comm=self.comm
+            )
+        vector = self._ghosted[rows]
+        vector.array[:] = here[:, : self.count].T.ravel()
+        vector.ghostUpdate()
+        with vector.localForm() as form:
+            here[:, self.count :] = form.array.reshape(-1, rows)[self.count :].T
+
+    def destroy(self) -> None:
+        """Free PETSc's memory, which on several ranks nobody else does; collective."""
+        for vector in self._ghosted.values():
+            vector.destroy()
+        self._ghosted = {}
 
     def _localised(self, pairs: Pairs, wanted: IntArray) -> tuple[Pairs, IntArray]:
         """Pairs that involve an own unknown, in local numbers; and the numbers of those, sorted.
