@@ -74,6 +74,10 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
     def steps(self, start: float, dt: float, count: int, ledger: Ledger) -> None:
         """Do `count` steps (at most `LOOK_EVERY`) from `start` (s, in the interval); collective."""
 
+    def equal_steps(self, start: float, end: float) -> tuple[int, float]:
+        """(number, length in s) of the steps from start to end (s), within the limit."""
+        return self._guard.steps(start, end, self.bed.stable_step, self._longest)
+
     def bounds(self) -> tuple[float, float]:
         """Least and greatest of any component, before any clipping, on all ranks (collective)."""
         return self.bed.bounds(self.field.flat)
@@ -96,7 +100,7 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
             self.carry_over(before)
             self._begin()
         stable = self.bed.stable_step
-        count, dt = self._guard.steps(start, end, stable, self._longest)
+        count, dt = self.equal_steps(start, end)
         updates = count * self.bed.updates * self.moved
         ledger = Ledger(steps=count, cell_updates=updates, step_share=dt / stable)
         done = 0
@@ -139,7 +143,7 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
         self.bed: AnyBed = self.make_bed(interval)
         self._longest = np.inf
         if not (flow.steady and index == flow.prefix):  # that one lasts for ever
-            self._longest = self._guard.steps(interval.start, interval.end, self.bed.stable_step)[1]
+            self._longest = self.equal_steps(interval.start, interval.end)[1]
         self.bed.settle(min(self._longest, self.bed.stable_step))
         self._now = interval.start
 

@@ -127,6 +127,7 @@ def compile_report(
             "maximum": ledger.maximum if ledger.steps else None,
             "clipped_mass": ledger.clipped,
             "steps": ledger.steps,
+            "iterations": ledger.iterations,
             "step_over_stable_step": ledger.step_share if ledger.steps else None,
         },
         "error_estimate": estimate,

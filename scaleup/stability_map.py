@@ -41,6 +41,7 @@ _FARTHEST = 8.0  # times the stated limit: beyond it a backend counts as stable 
 _BISECTIONS = 7
 _GROWS = 1.0 + 1e-4  # a step
 _KEEPS_BOUNDS = 1e-9
+_DIED_OUT = 1e-9  # noise of 1e-6 that has come down to what round-off or a solver leaves
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def grows(make: Callable[[float | None], Any], scene: MixingScene, step: float) 
     late = _after(make, scene, start, step, _STEPS)
     if early is None or late is None:
         return True
-    ratio = float(np.std(late)) / max(float(np.std(early)), 1e-300)
+    ratio = float(np.std(late)) / max(float(np.std(early)), _DIED_OUT)
     return ratio > _GROWS ** (_STEPS - _STEPS // 3)
 
 

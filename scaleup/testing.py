@@ -176,15 +176,15 @@ class _SampledGeometry:
 def check_mixing(backend: Any, scene: Any, concentration: Any, duration: float) -> None:
     """Check a mixing backend on a scene, from concentrations (components, n): collective.
 
-    1 the stable step is positive and finite; 2 after `duration` (s) components sum to 1; 3 a
-    uniform concentration stays uniform to 1e-12.
+    1 the stable step is positive, infinite if none is too long; 2 after `duration` (s) components
+    sum to 1; 3 a uniform concentration stays uniform to 1e-12.
     """
     flow = scene.flow
     for start in (concentration, np.full_like(concentration, 1.0 / len(concentration))):
         backend.start(scene, start)
         step = backend.stable_time_step(flow.intervals[0])
-        if not 0 < step < np.inf:
-            raise ContractError(f"stable_time_step = {step}: must be positive and finite")
+        if not step > 0:
+            raise ContractError(f"stable_time_step = {step}: must be positive")
         interval = flow.intervals[0]
         for index, begin, end in flow.schedule(0.0, duration):
             backend.advance(index, begin, end)
