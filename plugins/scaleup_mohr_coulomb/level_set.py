@@ -211,10 +211,10 @@ class Transport:
 
     This is the streamline-upwind Petrov-Galerkin method with the parameter dt/2, its value at small
     Courant numbers, and has a symmetric, positive definite matrix.  u is the mid-step velocity, a
-    coefficient function that the caller keeps up to date.
+    coefficient function that the caller keeps up to date; so is the time step (s) unless a number.
     """
 
-    def __init__(self, level_set: LevelSet, velocity: Any, time_step: float) -> None:
+    def __init__(self, level_set: LevelSet, velocity: Any, time_step: Any) -> None:
         self._field = level_set.field
         phi, s = level_set.space.TnT()
 

@@ -20,7 +20,7 @@ from scaleup.api import (
     flow_from_stream_function,
     froude_number,
 )
-from scaleup_mohr_coulomb.steady import mid_bed, sample, surface_speed
+from scaleup_mohr_coulomb.mid_bed import mid_bed, sample, surface_speed
 
 if TYPE_CHECKING:
     from scaleup_mohr_coulomb.steady import SteadyBed
@@ -154,6 +154,8 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "surface_angle_source": "solved; the error is the scatter between swings",
         "steady_within_tolerance": bed.converged,
         "time_steps": bed.steps,
+        "retries": bed.retries,
+        "time_step_halvings": bed.most_halvings,
         "time_stepping_s": bed.seconds,
     }
 

@@ -14,7 +14,9 @@ from scaleup.api import Memory, Progress, RunError, Scene
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
-from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, SwingAverage, run_to_steady
+from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, run_to_steady
+from scaleup_mohr_coulomb.stepping import CarefulSteps
+from scaleup_mohr_coulomb.swings import SwingAverage
 from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 if TYPE_CHECKING:
@@ -62,18 +64,20 @@ def steady_bed(
         return _from_arrays(known, mesh, numerics)
 
     flow = TwoPhaseFlow(mesh, scene.material, drive, numerics)
-    average = SwingAverage(flow)
+    steps = CarefulSteps(flow, SwingAverage(flow))
     checkpoint = memory.recall(unfinished)
     if checkpoint is not None and np.array_equal(checkpoint["vertices"], vertices):
         flow.restore(_part(checkpoint, "flow"))
-        average.restore(_part(checkpoint, "average"))
+        steps.average.restore(_part(checkpoint, "average"))
+        steps.restore(_part(checkpoint, "steps"))
         progress(0.0, f"resumed at t = {flow.time:.2f} s")
     last_kept = time.monotonic()
 
     def keep() -> None:
         arrays = {"vertices": vertices}
         arrays |= {f"flow.{name}": data for name, data in flow.state().items()}
-        arrays |= {f"average.{name}": data for name, data in average.state().items()}
+        arrays |= {f"average.{name}": data for name, data in steps.average.state().items()}
+        arrays |= {f"steps.{name}": data for name, data in steps.state().items()}
         memory.keep(unfinished, arrays)
 
     def keep_and_report(fraction: float, message: str) -> None:
@@ -86,10 +90,11 @@ def steady_bed(
     limit = options.time_limit or _TIME_LIMIT * math.sqrt(scene.geometry.reach / drive.gravity)
     steady = SteadyOptions(angle_tolerance=options.angle_tolerance, time_limit=limit)
     try:
-        bed = run_to_steady(flow, steady, keep_and_report, average)
+        bed = run_to_steady(steps, steady, keep_and_report)
     except FlowDiverged as error:
         memory.forget(unfinished)
-        raise RunError(str(error)) from error
+        halved = steps.recovery.most_halvings
+        raise RunError(f"{error} (It had been halved {halved} times already.)") from error
     except NotSteady as error:
         keep()
         raise RunError(str(error)) from error

@@ -17,7 +17,8 @@ from scaleup_mohr_coulomb.level_set import LevelSet, Transport
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
 from scaleup_mohr_coulomb.rheology import Strength, effective_viscosity
-from scaleup_mohr_coulomb.steady import SwingAverage, avalanche_end, upward_crossings
+from scaleup_mohr_coulomb.stepping import CarefulSteps
+from scaleup_mohr_coulomb.swings import SwingAverage, avalanche_end, upward_crossings
 from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 RADIUS, OMEGA = 0.07, 0.2 * math.pi
@@ -127,6 +128,49 @@ def test_too_long_a_step_is_said_and_not_computed(mesh):
 
     with pytest.raises(FlowDiverged, match="halve the time step"):
         run()
+
+
+def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
+    """At a step of 30 ms the avalanche of a coarse drum runs away; the record must not show it."""
+    flow, times = careful_drum(0.03, seconds=1.5)
+    steps = CarefulSteps(flow, SwingAverage(flow))
+    while flow.time < times:
+        steps.block()
+    recovery = steps.recovery
+    assert recovery.retries >= 1
+    assert 1 <= recovery.most_halvings <= 2
+    samples = np.array(steps.average.times)
+    assert np.diff(samples) == pytest.approx(0.03, rel=1e-9)
+    assert samples[-1] == pytest.approx(flow.time)
+    angles = np.degrees(steps.average.angles)
+    assert 15 < angles.min() < angles.max() < 35
+    other = CarefulSteps(flow, SwingAverage(flow))
+    other.restore(steps.state())
+    assert other.recovery == recovery
+
+
+def test_a_flow_that_cannot_recover_is_an_error():
+    flow, _ = careful_drum(0.06, seconds=1.5)
+    steps = CarefulSteps(flow, SwingAverage(flow))
+
+    def run():
+        for _ in range(40):
+            steps.block()
+
+    with pytest.raises(FlowDiverged, match="halve the time step"):
+        run()
+    assert steps.recovery.most_halvings == 4
+
+
+def careful_drum(time_step: float, seconds: float) -> tuple[TwoPhaseFlow, float]:
+    """A very coarse drum, and the time when it has run for so many seconds."""
+    mesh = cross_section_mesh(
+        Circle(Pnt(0, 0), RADIUS).Face(), 0.012, 0.006, AREA, math.radians(20), 0.014
+    )
+    material, drive = Material(), Drive(AREA, OMEGA)
+    numerics = Discretisation.by_rule(material, drive, RADIUS, fine_size=0.006, time_step=time_step)
+    flow = TwoPhaseFlow(mesh, material, drive, numerics)
+    return flow, flow.time + seconds
 
 
 def test_swings_are_counted_on_a_known_history():
