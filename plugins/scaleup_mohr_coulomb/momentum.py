@@ -9,8 +9,10 @@ t = -mu_w p (u_t - w_t)/sqrt(|u_t - w_t|^2 + v_e^2); elsewhere the boundary is f
 
 Taylor-Hood elements (quadratic velocity, linear pressure), Nitsche's method for u.n = 0, backward
 Euler, one linear solve per step: the powder's viscosity, the wall friction and convection are taken
-from the step before, so that the matrix stays symmetric.  A Newton tangent would expose the growth
-of short waves that makes constant friction ill-posed, and diverges.
+from the step before, so that the matrix stays symmetric.  Explicit convection alone would grow
+wherever rho u^2 dt > 2 eta; the next term of its Taylor series, dt/2 u.grad(u.grad u) in the new
+velocity (Lax-Wendroff in time), keeps it stable at any step.  A Newton tangent would expose the
+growth of short waves that makes constant friction ill-posed, and diverges.
 """
 
 from __future__ import annotations
@@ -95,6 +97,7 @@ class Momentum:
         self._matrix = ngs.BilinearForm(space, symmetric=True)
         self._matrix += (
             rho / dt * ngs.InnerProduct(u, v)
+            + 0.5 * dt * rho * ngs.InnerProduct(ngs.Grad(u) * old, ngs.Grad(v) * old)
             + 2.0 * eta * ngs.InnerProduct(strain_rate(u), ngs.Grad(v))
         ).Compile() * interior
         self._matrix += (

@@ -150,6 +150,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "rigid_upflow_midbed": middle.rigid_upflow,
         "axis_to_surface": middle.axis_distance,
         "volume_drift": bed.area_correction,
+        "ill_posed_share": bed.ill_posed_share,
         "swings_averaged": bed.swings,
         "surface_angle_source": "solved; the error is the scatter between swings",
         "steady_within_tolerance": bed.converged,

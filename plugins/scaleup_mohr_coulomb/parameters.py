@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from scaleup.api import GRAVITY, Material
 
@@ -22,6 +23,50 @@ class Drive:
     """Angular velocity omega of the vessel, rad/s, positive."""
     gravity: float = GRAVITY
     """Gravitational acceleration g, m/s^2."""
+
+
+@dataclass(frozen=True)
+class Rheology:
+    """How friction depends on the inertial number, beyond what a `Material` says."""
+
+    law: Literal["mohr-coulomb", "mu-i", "regularised-mu-i"] = "mohr-coulomb"
+    friction_rise: float = 0.0
+    """mu_d - mu_s, 1."""
+    i_0: float = 1.0
+    """Inertial number I0 at which half of the rise is reached, 1."""
+    mu_inf: float = 0.0
+    """Slope of the friction of fast flow, 1."""
+    alpha: float = 1.9
+    """Of the regularised law's creep, 1; well-posed below 2."""
+    tensile: float | None = None
+    """Tension at which powder is pulled apart, Pa; None for the apex of the strength's line."""
+
+    @classmethod
+    def by_literature(
+        cls,
+        law: Literal["mohr-coulomb", "mu-i", "regularised-mu-i"] = "mohr-coulomb",
+        friction_rise: float | None = None,
+        i_0: float | None = None,
+        tensile: float | None = None,
+    ) -> Rheology:
+        """Published constants, except where given; mu_s always comes from the friction angle.
+
+        mu-i: glass beads, mu_2 - mu_s = tan 32.76 deg - tan 20.9 deg, I0 = 0.279 (Jop, Forterre &
+        Pouliquen 2006, Nature 441, 727).  regularised-mu-i: mu_d - mu_s = 0.557 - 0.342, I0 =
+        0.069, mu_inf = 0.05, alpha = 1.9 (Barker & Gray 2017).
+        """
+        rise, scale, mu_inf = {
+            "mohr-coulomb": (0.0, 1.0, 0.0),
+            "mu-i": (0.261, 0.279, 0.0),
+            "regularised-mu-i": (0.215, 0.069, 0.05),
+        }[law]
+        return cls(
+            law=law,
+            friction_rise=rise if friction_rise is None else friction_rise,
+            i_0=i_0 or scale,
+            mu_inf=mu_inf,
+            tensile=tensile,
+        )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from scaleup.api import Memory, Progress, RunError, Scene
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
-from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
+from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
 from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, run_to_steady
 from scaleup_mohr_coulomb.stepping import CarefulSteps
 from scaleup_mohr_coulomb.swings import SwingAverage
@@ -45,7 +45,17 @@ def steady_bed(
         options.time_step,
     )
     sizes = options.model_dump(mode="json", include={"fine_size", "coarse_size", "time_step"})
-    inputs = {"scene": dict(scene.inputs), "sizes": sizes}
+    rheology = Rheology.by_literature(
+        options.rheology,
+        options.friction_rise,
+        options.inertial_number_0,
+        options.tensile_strength,
+    )
+    inputs = {
+        "scene": dict(scene.inputs),
+        "sizes": sizes,
+        "rheology": dataclasses.asdict(rheology),
+    }
     mesh = cross_section_mesh(
         scene.geometry.solid(),
         numerics.coarse_size,
@@ -63,7 +73,7 @@ def steady_bed(
         progress(1.0, "steady bed reused from the store")
         return _from_arrays(known, mesh, numerics)
 
-    flow = TwoPhaseFlow(mesh, scene.material, drive, numerics)
+    flow = TwoPhaseFlow(mesh, scene.material, drive, numerics, rheology)
     steps = CarefulSteps(flow, SwingAverage(flow))
     checkpoint = memory.recall(unfinished)
     if checkpoint is not None and np.array_equal(checkpoint["vertices"], vertices):

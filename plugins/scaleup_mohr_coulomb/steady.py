@@ -63,6 +63,8 @@ class SteadyBed:
     """Sum of |area restored| over the run, relative to the bed."""
     net_area_correction: float
     """Sum of the area restored over the run, relative to the bed."""
+    ill_posed_share: float
+    """Share of the flowing layer where the friction law is ill-posed, at the end of the run."""
     steps: int
     """Time steps that led to the result."""
     retries: int
@@ -143,6 +145,7 @@ def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: f
         angles=np.array(average.angles),
         area_correction=flow.area_correction,
         net_area_correction=flow.net_area_correction,
+        ill_posed_share=flow.ill_posed_share(),
         steps=flow.steps,
         retries=steps.recovery.retries,
         most_halvings=steps.recovery.most_halvings,

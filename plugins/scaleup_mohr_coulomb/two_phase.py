@@ -20,7 +20,7 @@ from scaleup.api import Material
 from .level_set import LevelSet, Transport
 from .mesh import farthest_wall
 from .momentum import Momentum
-from .parameters import Discretisation, Drive
+from .parameters import Discretisation, Drive, Rheology
 from .rheology import Strength
 from .viscosity import Viscosity
 
@@ -46,6 +46,7 @@ class TwoPhaseFlow:
         material: Material,
         drive: Drive,
         discretisation: Discretisation,
+        rheology: Rheology | None = None,
     ) -> None:
         self.mesh = mesh
         self.material = material
@@ -70,12 +71,13 @@ class TwoPhaseFlow:
         self.pressure.Set(material.bulk_density * drive.gravity * depth)
 
         alpha = self.level_set.fraction
+        self._strength = Strength.of(material, rheology or Rheology())
         self._step_length = ngs.Parameter(discretisation.time_step)
         self._viscosity = Viscosity(
             self.velocity,
             self.pressure,
             alpha,
-            Strength.of(material),
+            self._strength,
             material.bulk_density,
             discretisation,
             self._step_length,
@@ -153,6 +155,17 @@ class TwoPhaseFlow:
     def net_area_correction(self) -> float:
         """Sum over the run of the area restored per step, relative to the bed."""
         return self._area_gained / self.drive.bed_area
+
+    def ill_posed_share(self) -> float:
+        """Share of the flowing layer in which the friction law is ill-posed, 0 to 1.
+
+        The layer is where powder is sheared faster than the vessel turns.
+        """
+        shear_rate, pressure = self._viscosity.shear_rate, self._viscosity.pressure
+        flows = ngs.IfPos(shear_rate - self.drive.angular_velocity, self.level_set.fraction, 0.0)
+        ill_posed = flows * self._strength.ill_posed(shear_rate, pressure)
+        share, whole = ngs.Integrate(ngs.CoefficientFunction((ill_posed, flows)), self.mesh)
+        return float(share / whole) if whole > 0.0 else 0.0
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that :meth:`restore` needs to go on from here, as arrays of their own."""
