@@ -43,6 +43,8 @@ class MohrCoulomb:
         """m, element size elsewhere; default reach/9"""
         time_step: units.Time | None = None
         """s; default sqrt(reach/g)/20"""
+        filter_length: units.Length | None = None
+        """m, non-local length of shear rate and pressure; default d/sqrt(8), at least reach/72"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
         """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
         time_limit: units.Time | None = None

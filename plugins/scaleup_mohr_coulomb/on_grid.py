@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from scaleup_mohr_coulomb.steady import SteadyBed
 
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
+_RESOLVED = 3.0  # element size over filter length beyond which the filter does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
 
 
@@ -71,7 +72,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         angular_velocity=bed.angular_velocity,
         lift=bed.angle,
         summary=_summary(bed) | {"projection_change": change},
-        warnings=_warnings(bed, scene),
+        warnings=warnings_of(bed, scene),
     )
 
 
@@ -150,6 +151,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "rigid_upflow_midbed": middle.rigid_upflow,
         "axis_to_surface": middle.axis_distance,
         "volume_drift": bed.area_correction,
+        "filter_length": bed.filter_length,
         "ill_posed_share": bed.ill_posed_share,
         "swings_averaged": bed.swings,
         "surface_angle_source": "solved; the error is the scatter between swings",
@@ -161,7 +163,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
     }
 
 
-def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
+def warnings_of(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
     """Sentences on where the model or its mean may not hold."""
     found = []
     froude = froude_number(scene.geometry, scene.speed)
@@ -169,6 +171,12 @@ def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
         found.append(
             f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "
             "cataracts, which a single free surface does not show"
+        )
+    if bed.fine_size > _RESOLVED * bed.filter_length * (1 + 1e-9):
+        found.append(
+            f"elements of {1e3 * bed.fine_size:.3g} mm do not see the filter length of "
+            f"{1e3 * bed.filter_length:.3g} mm (at most {_RESOLVED:g} times that would): the layer "
+            "is regularised by the mesh, and changes with it"
         )
     if not bed.converged:
         found.append(

@@ -89,8 +89,14 @@ class Discretisation:
     time_step: float
     """Time step dt, s.  Rule: sqrt(R/g)/20; the bed's swings last about 9 sqrt(R/g)."""
     filter_length: float
-    """Non-local length of shear rate and pressure, m.  Rule: the grain diameter, but at least
-    h/3, below which the filter does nothing on this mesh."""
+    """Non-local length l of shear rate and pressure, m.  Rule: d/sqrt(8), but at least R/72.
+
+    The filter's kernel has the standard deviation sqrt(2) l along each axis: with d/sqrt(8) half a
+    grain, as wide as the kernels that make fields of grains (coarse-graining: Goldhirsch 2010,
+    Granular Matter 12, 239; Weinhart et al. 2013, Phys. Fluids 25, 070605).  That is
+    physical.  R/72, a third of the default element, is numerical: the least that the default mesh
+    can resolve.  Neither follows the mesh, so that refinement converges to the flow of one l; a
+    mesh of h > 3 l no longer sees the filter."""
     predictor_length: float
     """Length l over which stress beyond yield accelerates powder in the predictor of the shear
     rate, m.  Rule: 0.07 R, a third of an active layer.  It shapes the first avalanche; twice the
@@ -129,6 +135,7 @@ class Discretisation:
         fine_size: float | None = None,
         coarse_size: float | None = None,
         time_step: float | None = None,
+        filter_length: float | None = None,
     ) -> Discretisation:
         """The defaults for a vessel whose farthest wall is ``radius`` (m) from the axis.
 
@@ -149,7 +156,7 @@ class Discretisation:
             band_angle=material.friction_angle,
             start_angle=0.75 * material.friction_angle,
             time_step=time_step,
-            filter_length=max(material.grain_diameter, fine_size / 3.0),
+            filter_length=filter_length or max(grain_filter(material), radius / 72.0),
             predictor_length=0.07 * radius,
             predictor_threshold=time_step / fall_time,
             creep_rate=0.02 * omega,
@@ -159,6 +166,11 @@ class Discretisation:
             air_viscosity=2.5e-4 * viscosity_scale,
             grad_div=0.035 * viscosity_scale,
         )
+
+
+def grain_filter(material: Material) -> float:
+    """The filter length that spreads a point over half a grain, m."""
+    return material.grain_diameter / math.sqrt(8.0)
 
 
 @dataclass(frozen=True)

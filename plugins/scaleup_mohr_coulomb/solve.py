@@ -43,8 +43,10 @@ def steady_bed(
         options.fine_size,
         options.coarse_size,
         options.time_step,
+        options.filter_length,
     )
-    sizes = options.model_dump(mode="json", include={"fine_size", "coarse_size", "time_step"})
+    asked = {"fine_size", "coarse_size", "time_step", "filter_length"}
+    sizes = options.model_dump(mode="json", include=asked)
     rheology = Rheology.by_literature(
         options.rheology,
         options.friction_rise,

@@ -63,6 +63,10 @@ class SteadyBed:
     """Sum of |area restored| over the run, relative to the bed."""
     net_area_correction: float
     """Sum of the area restored over the run, relative to the bed."""
+    filter_length: float
+    """Non-local length of the friction law, m."""
+    fine_size: float
+    """Element size about the surface, m."""
     ill_posed_share: float
     """Share of the flowing layer where the friction law is ill-posed, at the end of the run."""
     steps: int
@@ -145,6 +149,8 @@ def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: f
         angles=np.array(average.angles),
         area_correction=flow.area_correction,
         net_area_correction=flow.net_area_correction,
+        filter_length=flow.discretisation.filter_length,
+        fine_size=flow.discretisation.fine_size,
         ill_posed_share=flow.ill_posed_share(),
         steps=flow.steps,
         retries=steps.recovery.retries,

@@ -1,6 +1,7 @@
 """The finite-element flow: its parts against closed forms, and a coarse drum end to end."""
 
 import math
+from types import SimpleNamespace
 
 import ngsolve as ngs
 import numpy as np
@@ -13,8 +14,9 @@ from scaleup.errors import RunError
 from scaleup.flow_source import obtain_flow
 from scaleup.scene import Material
 from scaleup.testing import check_flow
-from scaleup_mohr_coulomb.level_set import LevelSet, Transport
+from scaleup_mohr_coulomb.level_set import LevelSet, SolenoidalVelocity, Transport
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
+from scaleup_mohr_coulomb.on_grid import warnings_of
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
 from scaleup_mohr_coulomb.rheology import Strength, effective_viscosity
 from scaleup_mohr_coulomb.stepping import CarefulSteps
@@ -23,7 +25,12 @@ from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 RADIUS, OMEGA = 0.07, 0.2 * math.pi
 AREA = RADIUS**2 * (math.acos(0.3) - 0.3 * math.sqrt(1 - 0.09))  # fill depth 0.35 D
-COARSE = ["flow.fine_size='6 mm'", "flow.time_step='8 ms'", "grid.spacing='1 mm'"]
+COARSE = [
+    "flow.fine_size='6 mm'",
+    "flow.filter_length='2 mm'",
+    "flow.time_step='8 ms'",
+    "grid.spacing='1 mm'",
+]
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +57,9 @@ def test_a_plane_bed_has_its_area_angle_and_distance(mesh):
     level_set.field.vec.data *= 3.0  # no longer a distance
     level_set.redistance()
     points = np.array([vertex.point for vertex in mesh.vertices])
-    down, half = np.array([math.cos(angle), math.sin(angle)]), RADIUS * math.sqrt(1 - 0.09)
-    along = np.clip((points - centre) @ down, -half, half)
-    distance = np.linalg.norm(points - centre - along[:, None] * down, axis=1)
-    assert np.abs(level_set.field.vec.FV().NumPy()[: mesh.nv]) == pytest.approx(distance, abs=2e-4)
+    normal = np.array([-math.sin(angle), math.cos(angle)])
+    distance = (centre - points) @ normal
+    assert level_set.field.vec.FV().NumPy()[: mesh.nv] == pytest.approx(distance, abs=2e-6)
     assert level_set.length() == pytest.approx(2 * RADIUS * math.sqrt(1 - 0.09), rel=2e-3)
 
 
@@ -62,11 +68,25 @@ def test_level_set_turns_with_a_rigid_rotation(mesh):
     level_set.set_plane(AREA, 0.0)
     rotation = ngs.CoefficientFunction((-OMEGA * ngs.y, OMEGA * ngs.x))
     transport = Transport(level_set, rotation, 0.01)
-    for _ in range(50):
+    for step in range(50):
         transport.step()
+        if step % 5 == 0:
+            level_set.redistance()
     angle, _ = level_set.surface_fit(0.03)
     assert angle == pytest.approx(OMEGA * 0.5, abs=math.radians(0.02))
-    assert level_set.area() == pytest.approx(AREA, rel=1e-3)
+    assert level_set.area() == pytest.approx(AREA, rel=2e-5)
+
+
+def test_the_mover_is_the_nearest_velocity_without_divergence(mesh):
+    """It keeps a rotation, and drops a gradient that flows through the wall."""
+    rotation = ngs.CoefficientFunction((-OMEGA * ngs.y, OMEGA * ngs.x))
+    source = ngs.CoefficientFunction((ngs.x, ngs.y))
+    mover = SolenoidalVelocity(rotation + source, mesh)
+    mover.update()
+    difference = mover.field - rotation
+    error = ngs.Integrate(ngs.InnerProduct(difference, difference), mesh)
+    whole = ngs.Integrate(ngs.InnerProduct(rotation, rotation), mesh)
+    assert error < 1e-9 * whole
 
 
 @pytest.mark.parametrize(
@@ -130,19 +150,19 @@ def test_too_long_a_step_is_said_and_not_computed(mesh):
 
 
 def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
-    """At a step of 60 ms a coarse drum yields late and runs away; the record must not show it."""
-    flow, times = careful_drum(0.06, seconds=1.5)
+    """At a step of 40 ms a coarse drum yields late and runs away; the record must not show it."""
+    flow, times = careful_drum(0.04, seconds=1.5)
     steps = CarefulSteps(flow, SwingAverage(flow))
     while flow.time < times:
         steps.block()
     recovery = steps.recovery
     assert recovery.retries >= 1
-    assert 1 <= recovery.most_halvings <= 2
+    assert 1 <= recovery.most_halvings <= 4
     samples = np.array(steps.average.times)
-    assert np.diff(samples) == pytest.approx(0.06, rel=1e-9)
+    assert np.diff(samples) == pytest.approx(0.04, rel=1e-9)
     assert samples[-1] == pytest.approx(flow.time)
     angles = np.degrees(steps.average.angles)
-    assert 15 < angles.min() < angles.max() < 50
+    assert 15 < angles.min() < angles.max() < 35
     other = CarefulSteps(flow, SwingAverage(flow))
     other.restore(steps.state())
     assert other.recovery == recovery
@@ -169,7 +189,9 @@ def careful_drum(
         Circle(Pnt(0, 0), RADIUS).Face(), 0.012, 0.006, AREA, math.radians(20), 0.014
     )
     material, drive = Material(), Drive(AREA, omega)
-    numerics = Discretisation.by_rule(material, drive, RADIUS, fine_size=0.006, time_step=time_step)
+    numerics = Discretisation.by_rule(
+        material, drive, RADIUS, fine_size=0.006, time_step=time_step, filter_length=0.002
+    )
     flow = TwoPhaseFlow(mesh, material, drive, numerics)
     return flow, flow.time + seconds
 
@@ -205,6 +227,23 @@ def test_a_coarse_drum_end_to_end(store):
     assert not finer.reused
     assert finer.seconds < 0.5 * outcome.seconds
     assert finer.flow.summary["surface_angle_deg"] == figures["surface_angle_deg"]
+
+
+@pytest.mark.parametrize(
+    ("fine_size", "speed", "expected"),
+    [
+        (0.0029, 0.6, []),
+        (0.006, 0.6, ["do not see the filter length of 1 mm"]),
+        (0.0029, 3.0, ["beyond 0.05 a bed cascades"]),
+    ],
+)
+def test_what_a_bed_is_warned_of(fine_size, speed, expected):
+    """A mesh too coarse for the filter; a Froude number beyond the rolling regime (0.064)."""
+    bed = SimpleNamespace(fine_size=fine_size, filter_length=0.001, converged=True)
+    scene = SimpleNamespace(geometry=compose(None, []).plugin("geometry"), speed=speed)
+    found = warnings_of(bed, scene)
+    assert len(found) == len(expected)
+    assert all(part in warning for part, warning in zip(expected, found, strict=True))
 
 
 def test_no_steady_bed_in_the_time_given_is_an_error(store):
