@@ -47,6 +47,8 @@ class MohrCoulomb:
         """m, non-local length of shear rate and pressure; default d/sqrt(8), at least reach/72"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
         """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
+        velocity_tolerance: Annotated[float, Field(gt=0)] = 0.02
+        """standard error of the mean velocity, relative, at which the run stops"""
         time_limit: units.Time | None = None
         """s of flow after which the run stops anyway; default 140 sqrt(reach/g)"""
 

@@ -151,6 +151,8 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "rigid_upflow_midbed": middle.rigid_upflow,
         "axis_to_surface": middle.axis_distance,
         "volume_drift": bed.area_correction,
+        "velocity_error": bed.velocity_error,
+        "velocity_drift_per_revolution": bed.velocity_drift,
         "filter_length": bed.filter_length,
         "ill_posed_share": bed.ill_posed_share,
         "swings_averaged": bed.swings,
@@ -180,7 +182,8 @@ def warnings_of(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
         )
     if not bed.converged:
         found.append(
-            f"the surface angle is known to {math.degrees(bed.angle_error):.2f} deg only: the time "
-            "limit came first; raise flow.time_limit to go on"
+            f"the surface angle is known to {math.degrees(bed.angle_error):.2f} deg and the mean "
+            f"velocity to {100 * bed.velocity_error:.2g} % only: the time limit came first; raise "
+            "flow.time_limit to go on"
         )
     return tuple(found)

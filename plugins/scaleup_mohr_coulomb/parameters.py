@@ -179,6 +179,8 @@ class SteadyOptions:
 
     angle_tolerance: float = math.radians(0.25)
     """Standard error of the mean surface angle at which the run stops, rad."""
+    velocity_tolerance: float = 0.02
+    """Standard error of the mean velocity at which the run stops, relative."""
     minimum_swings: int = 4
     """Swings of the bed averaged over, at least."""
     settled_amplitude: float = math.radians(0.1)

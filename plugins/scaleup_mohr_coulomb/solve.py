@@ -69,7 +69,11 @@ def steady_bed(
     vertices = np.array([vertex.point for vertex in mesh.vertices])
     # what the run goes through does not depend on when it stops: a checkpoint outlives the limit
     unfinished = inputs | {"stage": "checkpoint"}
-    finished = inputs | {"stage": "steady", "angle_tolerance": options.angle_tolerance}
+    finished = inputs | {
+        "stage": "steady",
+        "angle_tolerance": options.angle_tolerance,
+        "velocity_tolerance": options.velocity_tolerance,
+    }
     known = memory.recall(finished)
     if known is not None and np.array_equal(known["vertices"], vertices):
         progress(1.0, "steady bed reused from the store")
@@ -100,7 +104,11 @@ def steady_bed(
         progress(fraction, message)
 
     limit = options.time_limit or _TIME_LIMIT * math.sqrt(scene.geometry.reach / drive.gravity)
-    steady = SteadyOptions(angle_tolerance=options.angle_tolerance, time_limit=limit)
+    steady = SteadyOptions(
+        angle_tolerance=options.angle_tolerance,
+        velocity_tolerance=options.velocity_tolerance,
+        time_limit=limit,
+    )
     try:
         bed = run_to_steady(steps, steady, keep_and_report)
     except FlowDiverged as error:

@@ -63,6 +63,10 @@ class SteadyBed:
     """Sum of |area restored| over the run, relative to the bed."""
     net_area_correction: float
     """Sum of the area restored over the run, relative to the bed."""
+    velocity_error: float
+    """Standard error of the mean velocity, relative, see `SwingAverage.velocity_errors`."""
+    velocity_drift: float
+    """Relative change of the mean velocity per revolution within the averaging."""
     filter_length: float
     """Non-local length of the friction law, m."""
     fine_size: float
@@ -80,7 +84,7 @@ class SteadyBed:
 
 
 def run_to_steady(steps: CarefulSteps, options: SteadyOptions, progress: Progress) -> SteadyBed:
-    """Advance the flow until the mean surface angle is known to the tolerance.
+    """Advance the flow until the means of surface angle and velocity are known to the tolerances.
 
     The state of the ``steps`` may be saved from within ``progress``, which is called several times
     per period.
@@ -91,14 +95,17 @@ def run_to_steady(steps: CarefulSteps, options: SteadyOptions, progress: Progres
     block_time = average.block * flow.discretisation.time_step
     check = max(1, round(average.period / (_CHECKS_PER_PERIOD * block_time)))
     window = average.window(options)
+    velocity_errors = _velocity_errors(steps, window)
     last_time = flow.discretisation.start_angle / flow.drive.angular_velocity + options.time_limit
-    while flow.time < last_time and not _known(window, options):
+    while flow.time < last_time and not _known(window, velocity_errors[0], options):
         for _ in range(check):
             steps.block()
         window = average.window(options)
+        velocity_errors = _velocity_errors(steps, window)
         fraction = min(0.99, (flow.time - first_time) / expected)
         progress(fraction, _message(steps, window))
-    seconds, converged = clock.perf_counter() - began, _known(window, options)
+    seconds = clock.perf_counter() - began
+    converged = _known(window, velocity_errors[0], options)
     window = window or average.window(replace(options, minimum_swings=_FEWEST_SWINGS))
     if window is None:
         raise NotSteady(
@@ -109,8 +116,18 @@ def run_to_steady(steps: CarefulSteps, options: SteadyOptions, progress: Progres
     return _steady_bed(steps, window, converged, seconds)
 
 
-def _known(window: Window | None, options: SteadyOptions) -> bool:
-    return window is not None and window.angle_error <= options.angle_tolerance
+def _known(window: Window | None, velocity_error: float, options: SteadyOptions) -> bool:
+    return (
+        window is not None
+        and window.angle_error <= options.angle_tolerance
+        and velocity_error <= options.velocity_tolerance
+    )
+
+
+def _velocity_errors(steps: CarefulSteps, window: Window | None) -> tuple[float, float]:
+    if window is None:
+        return math.inf, math.inf
+    return steps.average.velocity_errors(window, steps.flow)
 
 
 def _message(steps: CarefulSteps, window: Window | None) -> str:
@@ -128,6 +145,7 @@ def _message(steps: CarefulSteps, window: Window | None) -> str:
 def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: float) -> SteadyBed:
     flow, average = steps.flow, steps.average
     means = average.mean_fields(window)
+    velocity_error, velocity_drift = average.velocity_errors(window, flow)
     velocity = ngs.GridFunction(flow.velocity.space)
     n_velocity = len(velocity.vec)
     velocity.vec.FV().NumPy()[:] = means[:n_velocity]
@@ -149,6 +167,8 @@ def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: f
         angles=np.array(average.angles),
         area_correction=flow.area_correction,
         net_area_correction=flow.net_area_correction,
+        velocity_error=velocity_error,
+        velocity_drift=velocity_drift,
         filter_length=flow.discretisation.filter_length,
         fine_size=flow.discretisation.fine_size,
         ill_posed_share=flow.ill_posed_share(),

@@ -14,6 +14,7 @@ from typing import Any
 import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from .level_set import LevelSet
 from .parameters import SteadyOptions
@@ -31,15 +32,29 @@ _BLOCKS_PER_PERIOD = 20
 class Window:
     """Stretch of a run that is averaged over, as sample numbers, and what its mean is worth."""
 
-    first: int
-    last: int
-    parts: int
-    """Whole swings, or natural periods of a bed that no longer swings."""
+    edges: tuple[int, ...]
+    """Where the parts begin and the last one ends. Parts are whole swings, or natural periods of a
+    bed that no longer swings."""
     swinging: bool
     angle: float
     """Mean inclination of the surface, rad."""
     angle_error: float
     """Standard error of ``angle``, rad: scatter of the parts' means over sqrt(parts)."""
+
+    @property
+    def first(self) -> int:
+        """First sample."""
+        return self.edges[0]
+
+    @property
+    def last(self) -> int:
+        """Sample after the last."""
+        return self.edges[-1]
+
+    @property
+    def parts(self) -> int:
+        """Number of swings or periods."""
+        return len(self.edges) - 1
 
 
 def natural_period(level_set: LevelSet, gravity: float) -> float:
@@ -82,14 +97,49 @@ class SwingAverage:
         """Drop all but the first ``samples``, a whole number of blocks."""
         del self.times[samples:], self.angles[samples:], self._sums[samples // self.block :]
 
+    def _part_means(self, window: Window) -> NDArray[Any]:
+        """Mean coefficients (parts, n) of velocity and level set, in whole blocks."""
+        whole = len(self.times) // self.block  # the block under way is left out
+        edges = [min(round(edge / self.block), whole) for edge in window.edges]
+        return np.array(
+            [np.mean(self._sums[a:b], axis=0) / self.block for a, b in pairwise(edges) if b > a]
+        )
+
     def mean_fields(self, window: Window) -> NDArray[Any]:
         """Mean of velocity and level-set coefficients, the window rounded to whole blocks."""
-        whole = len(self.times) // self.block  # the block under way is left out
+        whole = len(self.times) // self.block
         first, last = round(window.first / self.block), round(window.last / self.block)
         last = min(last, whole)
         mean: NDArray[Any] = np.sum(self._sums[first:last], axis=0)
         mean /= (last - first) * self.block
         return mean
+
+    def velocity_errors(self, window: Window, flow: TwoPhaseFlow) -> tuple[float, float]:
+        """Standard error of the mean velocity, and its drift per revolution; both relative.
+
+        In the norm |u|^2 = integral of alpha u.u over the powder: the scatter of the parts' mean
+        velocities over sqrt(parts), and the change from the first half of the parts to the second
+        over the revolutions from one half's middle to the other's.
+        """
+        space = flow.velocity.space
+        u, v = space.TnT()
+        form = ngs.BilinearForm(space)
+        form += flow.level_set.fraction * ngs.InnerProduct(u, v) * ngs.dx
+        form.Assemble()
+        rows, columns, entries = form.mat.COO()
+        mass = csr_matrix((np.array(entries), (np.array(rows), np.array(columns))))
+        velocities = self._part_means(window)[:, : space.ndof]
+
+        def norm(field: NDArray[Any]) -> float:
+            return float(math.sqrt(field @ (mass @ field)))
+
+        parts, mean = len(velocities), velocities.mean(axis=0)
+        scatter = math.sqrt(sum(norm(part - mean) ** 2 for part in velocities) / (parts - 1))
+        half = parts // 2
+        change = norm(velocities[-half:].mean(axis=0) - velocities[:half].mean(axis=0))
+        span = self.times[window.last - 1] - self.times[window.first]
+        turned = flow.drive.angular_velocity * span * (1.0 - half / parts) / (2.0 * math.pi)
+        return scatter / math.sqrt(parts) / norm(mean), change / norm(mean) / turned
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that :meth:`restore` needs."""
@@ -135,9 +185,7 @@ class SwingAverage:
 def _window(angles: NDArray[Any], edges: NDArray[Any], swinging: bool) -> Window:
     means = np.array([angles[a:b].mean() for a, b in pairwise(edges)])
     return Window(
-        first=int(edges[0]),
-        last=int(edges[-1]),
-        parts=len(means),
+        edges=tuple(int(edge) for edge in edges),
         swinging=swinging,
         angle=float(angles[edges[0] : edges[-1]].mean()),
         angle_error=float(means.std(ddof=1) / math.sqrt(len(means))),

@@ -1,5 +1,6 @@
 """The finite-element flow: its parts against closed forms, and a coarse drum end to end."""
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ from scaleup_mohr_coulomb.on_grid import warnings_of
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
 from scaleup_mohr_coulomb.rheology import Strength, effective_viscosity
 from scaleup_mohr_coulomb.stepping import CarefulSteps
-from scaleup_mohr_coulomb.swings import SwingAverage, avalanche_end, upward_crossings
+from scaleup_mohr_coulomb.swings import SwingAverage, Window, avalanche_end, upward_crossings
 from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 RADIUS, OMEGA = 0.07, 0.2 * math.pi
@@ -121,6 +122,49 @@ def test_a_bed_below_its_friction_angle_turns_with_the_drum(mesh):
     )  # creep, 2 % of omega by rule, and start-up
 
 
+@pytest.mark.parametrize(
+    ("slope", "creep_rate", "steps", "final", "rests"),
+    [
+        (20.0, 1.3e-5, 40, (19.8, 20.1), True),  # below the friction angle of 23.6 deg
+        (32.0, 1.3e-5, 100, (17.0, 23.6), True),  # fails, and comes to rest below it
+        (20.0, 1.3, 40, (10.0, 18.0), False),  # regularised too much: the bed creeps
+    ],
+)
+def test_a_slope_in_a_vessel_at_rest(slope, creep_rate, steps, final, rests):
+    flow, _ = careful_drum(
+        0.008,
+        omega=1e-3 * OMEGA,
+        wall_friction=1.0,
+        start_angle=math.radians(slope),
+        creep_rate=creep_rate,
+    )
+    for _ in range(steps):
+        flow.step()
+    assert final[0] < math.degrees(flow.level_set.surface_fit(0.03)[0]) < final[1]
+    bed = ngs.IfPos(flow.level_set.field - 0.006, 1.0, 0.0)
+    square = ngs.Integrate(bed * ngs.InnerProduct(flow.velocity, flow.velocity), flow.mesh)
+    speed = math.sqrt(square / ngs.Integrate(bed, flow.mesh))
+    assert (speed < 1e-4) == rests  # m/s; beds that flow have 0.02 and more
+
+
+def test_the_error_of_the_mean_velocity_on_a_known_history(mesh):
+    """Four parts of a rotation 0, 0, 10 and 10 % too fast."""
+    flow = coarse_flow(mesh)
+    average = SwingAverage(flow)
+    rotation = ngs.CoefficientFunction((-ngs.y, ngs.x))
+    samples = 2 * average.block
+    for excess in (0.0, 0.0, 0.1, 0.1):
+        flow.velocity.Set((1.0 + excess) * rotation)
+        for _ in range(samples):
+            average.record(flow)
+            flow.time += 0.01
+    window = Window(tuple(samples * np.arange(5)), True, 0.4, 0.0)
+    error, drift = average.velocity_errors(window, flow)
+    assert error == pytest.approx(0.1 / math.sqrt(3) / 2 / 1.05, rel=1e-6)
+    halves = OMEGA * 0.5 * (4 * samples - 1) * 0.01 / (2 * math.pi)
+    assert drift == pytest.approx(0.1 / 1.05 / halves, rel=1e-6)
+
+
 def test_a_restored_flow_goes_on_as_if_never_stopped(mesh):
     flow = coarse_flow(mesh)
     for _ in range(6):
@@ -182,17 +226,21 @@ def test_a_flow_that_cannot_recover_is_an_error():
 
 
 def careful_drum(
-    time_step: float, seconds: float = 0.0, omega: float = OMEGA
+    time_step: float,
+    seconds: float = 0.0,
+    omega: float = OMEGA,
+    wall_friction: float = 0.324,
+    **changes,
 ) -> tuple[TwoPhaseFlow, float]:
     """A very coarse drum, and the time when it has run for so many seconds."""
     mesh = cross_section_mesh(
         Circle(Pnt(0, 0), RADIUS).Face(), 0.012, 0.006, AREA, math.radians(20), 0.014
     )
-    material, drive = Material(), Drive(AREA, omega)
+    material, drive = Material(wall_friction=wall_friction), Drive(AREA, omega)
     numerics = Discretisation.by_rule(
         material, drive, RADIUS, fine_size=0.006, time_step=time_step, filter_length=0.002
     )
-    flow = TwoPhaseFlow(mesh, material, drive, numerics)
+    flow = TwoPhaseFlow(mesh, material, drive, dataclasses.replace(numerics, **changes))
     return flow, flow.time + seconds
 
 
