@@ -45,6 +45,8 @@ class MohrCoulomb:
         """s; default sqrt(reach/g)/20"""
         filter_length: units.Length | None = None
         """m, non-local length of shear rate and pressure; default d/sqrt(8), at least reach/72"""
+        predictor_length: units.Length | None = None
+        """m, over which stress beyond yield accelerates powder; default 0.07 reach"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
         """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
         velocity_tolerance: Annotated[float, Field(gt=0)] = 0.02

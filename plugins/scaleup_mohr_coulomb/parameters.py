@@ -136,6 +136,7 @@ class Discretisation:
         coarse_size: float | None = None,
         time_step: float | None = None,
         filter_length: float | None = None,
+        predictor_length: float | None = None,
     ) -> Discretisation:
         """The defaults for a vessel whose farthest wall is ``radius`` (m) from the axis.
 
@@ -157,7 +158,7 @@ class Discretisation:
             start_angle=0.75 * material.friction_angle,
             time_step=time_step,
             filter_length=filter_length or max(grain_filter(material), radius / 72.0),
-            predictor_length=0.07 * radius,
+            predictor_length=predictor_length or 0.07 * radius,
             predictor_threshold=time_step / fall_time,
             creep_rate=0.02 * omega,
             slip_speed=0.01 * omega * radius,

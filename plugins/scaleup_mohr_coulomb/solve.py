@@ -44,8 +44,9 @@ def steady_bed(
         options.coarse_size,
         options.time_step,
         options.filter_length,
+        options.predictor_length,
     )
-    asked = {"fine_size", "coarse_size", "time_step", "filter_length"}
+    asked = {"fine_size", "coarse_size", "time_step", "filter_length", "predictor_length"}
     sizes = options.model_dump(mode="json", include=asked)
     rheology = Rheology.by_literature(
         options.rheology,
