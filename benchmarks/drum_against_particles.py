@@ -1,8 +1,8 @@
 """The paper's drum with 2 mm grains, by each rheology, beside a particle simulation of it.
 
 Surface angle, active layer, surface speed and the streamwise velocity at mid-bed, for the three
-rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm), and for constant
-friction with half and twice the filter length and the predictor length. Nothing is fitted. Results
+rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults), and
+for constant friction with half and twice the filter length and the predictor length. Nothing is fitted. Results
 are kept in a JSON file, so that the study goes on where it stopped; one solve takes some minutes.
 
     python benchmarks/drum_against_particles.py --reference reference.json [--output DIR] [CASE ...]
@@ -31,13 +31,13 @@ from scaleup.storage import Store
 from scaleup_mohr_coulomb.mid_bed import mid_bed, surface_speed
 from scaleup_mohr_coulomb.solve import steady_bed
 
-BASE = ("material.grain_diameter=2 mm", "flow.fine_size=2.1 mm", "flow.filter_length=0.7071 mm")
+BASE = ("material.grain_diameter=2 mm",)
 CASES = {
     "mohr-coulomb": (),
     "mu-i": ("flow.rheology=mu-i",),
     "regularised-mu-i": ("flow.rheology=regularised-mu-i",),
-    "filter x 1/2": ("flow.filter_length=0.3536 mm",),
-    "filter x 2": ("flow.filter_length=1.4142 mm",),
+    "filter x 1/2": ("flow.filter_length=0.3536 mm", "flow.fine_size=2.1 mm"),
+    "filter x 2": ("flow.filter_length=1.4142 mm", "flow.fine_size=2.1 mm"),
     "predictor x 1/2": ("flow.predictor_length=2.45 mm",),
     "predictor x 2": ("flow.predictor_length=9.8 mm",),
 }

@@ -38,13 +38,15 @@ class MohrCoulomb:
         """Pa, tension that pulls cohesive powder apart; default (and at most) c cos(phi)/mu"""
 
         fine_size: units.Length | None = None
-        """m, element size about the free surface; default reach/24"""
+        """m, element size about the free surface; default reach/24, or down to reach/36 to see the
+        filter length"""
         coarse_size: units.Length | None = None
         """m, element size elsewhere; default reach/9"""
         time_step: units.Time | None = None
         """s; default sqrt(reach/g)/20"""
         filter_length: units.Length | None = None
-        """m, non-local length of shear rate and pressure; default d/sqrt(8), at least reach/72"""
+        """m, non-local length of shear rate and pressure; default d/sqrt(8), or reach/72 where that
+        is below reach/108"""
         predictor_length: units.Length | None = None
         """m, over which stress beyond yield accelerates powder; default 0.07 reach"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824

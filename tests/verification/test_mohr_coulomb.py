@@ -278,6 +278,24 @@ def test_a_coarse_drum_end_to_end(store):
 
 
 @pytest.mark.parametrize(
+    ("grain", "asked", "filter_length", "fine_size"),
+    [
+        (2e-3, None, 2e-3 / math.sqrt(8), 3 * 2e-3 / math.sqrt(8)),
+        (4e-3, None, 4e-3 / math.sqrt(8), RADIUS / 24),
+        (1e-3, None, RADIUS / 72, RADIUS / 24),
+        (1e-3, 0.001, RADIUS / 72, 0.001),  # refined: the same length
+    ],
+)
+def test_the_filter_is_half_a_grain_or_numerical_and_never_the_mesh(
+    grain, asked, filter_length, fine_size
+):
+    material = Material(grain_diameter=grain)
+    numerics = Discretisation.by_rule(material, Drive(AREA, OMEGA), RADIUS, fine_size=asked)
+    assert numerics.filter_length == pytest.approx(filter_length)
+    assert numerics.fine_size == pytest.approx(fine_size)
+
+
+@pytest.mark.parametrize(
     ("fine_size", "speed", "expected"),
     [
         (0.0029, 0.6, []),
