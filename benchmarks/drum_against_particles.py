@@ -2,8 +2,9 @@
 
 Surface angle, active layer, surface speed and the streamwise velocity at mid-bed, for the three
 rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults), and
-for constant friction with half and twice the filter length and the predictor length. Nothing is fitted. Results
-are kept in a JSON file, so that the study goes on where it stopped; one solve takes some minutes.
+for constant friction with half and twice the filter length and the predictor length. Nothing is
+fitted. Results are kept in a JSON file, so that the study goes on where it stopped; one solve takes
+some minutes.
 
     python benchmarks/drum_against_particles.py --reference reference.json [--output DIR] [CASE ...]
 

@@ -16,7 +16,7 @@ _NEIGHBOURS = 8
 _SHIFTS = 8
 _SUBDIVISIONS = 4
 # Interface half widths by which the contour is carried on beyond the wall in redistancing.
-_CARRIED = 12
+_CARRIED = 4
 
 
 class LevelSet:
@@ -158,13 +158,19 @@ class LevelSet:
     def _carried_on(
         self, start: NDArray[Any], end: NDArray[Any]
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        """The contour's segments and, at each of its ends, more of them along a straight line."""
+        """The contour's segments and, at each of its two ends, more of them along a straight line.
+
+        A contour with more ends, as where air gets between powder and wall, is left as it is.
+        """
         points = np.concatenate([start, end])
         tree = cKDTree(points)
         reach = self._half_width
         alone = [len(near) == 1 for near in tree.query_ball_point(points, 1e-6 * reach)]
+        ends = points[np.array(alone, dtype=bool)]
+        if len(ends) != 2:
+            return start, end
         more = [start], [end]
-        for point in points[np.array(alone, dtype=bool)]:
+        for point in ends:
             near = points[tree.query_ball_point(point, 2.0 * reach)]
             outward = point - near.mean(axis=0)
             length = np.linalg.norm(outward)

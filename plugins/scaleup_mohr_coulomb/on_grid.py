@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from scaleup_mohr_coulomb.steady import SteadyBed
 
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
+_SLIDING = 0.8  # rotation of the bed over the vessel's below which it no longer rolls
 _RESOLVED = 3.0  # element size over filter length beyond which the filter does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
 
@@ -63,6 +64,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         sum(float(((a - b) ** 2).sum()) for a, b in zip(fitted, flux, strict=True))
         / sum(float((b**2).sum()) for b in flux)
     )
+    summary = _summary(bed)
     return flow_from_stream_function(
         grid,
         psi,
@@ -71,8 +73,8 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         axis=geometry.axis,
         angular_velocity=bed.angular_velocity,
         lift=bed.angle,
-        summary=_summary(bed) | {"projection_change": change},
-        warnings=warnings_of(bed, scene),
+        summary=summary | {"projection_change": change},
+        warnings=warnings_of(bed, scene, summary["solid_body_ratio"]),
     )
 
 
@@ -165,7 +167,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
     }
 
 
-def warnings_of(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
+def warnings_of(bed: SteadyBed, scene: Scene, rotation_ratio: float) -> tuple[str, ...]:
     """Sentences on where the model or its mean may not hold."""
     found = []
     froude = froude_number(scene.geometry, scene.speed)
@@ -173,6 +175,11 @@ def warnings_of(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
         found.append(
             f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "
             "cataracts, which a single free surface does not show"
+        )
+    if rotation_ratio < _SLIDING:
+        found.append(
+            f"the bed turns at {rotation_ratio:.2f} of the vessel's speed below its layer: it "
+            "slides on the wall instead of rolling"
         )
     if bed.fine_size > _RESOLVED * bed.filter_length * (1 + 1e-9):
         found.append(

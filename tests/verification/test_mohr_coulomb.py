@@ -296,18 +296,19 @@ def test_the_filter_is_half_a_grain_or_numerical_and_never_the_mesh(
 
 
 @pytest.mark.parametrize(
-    ("fine_size", "speed", "expected"),
+    ("fine_size", "speed", "rotation", "expected"),
     [
-        (0.0029, 0.6, []),
-        (0.006, 0.6, ["do not see the filter length of 1 mm"]),
-        (0.0029, 3.0, ["beyond 0.05 a bed cascades"]),
+        (0.0029, 0.6, 0.98, []),
+        (0.006, 0.6, 0.98, ["do not see the filter length of 1 mm"]),
+        (0.0029, 3.0, 0.98, ["beyond 0.05 a bed cascades"]),
+        (0.0029, 0.6, 0.05, ["it slides on the wall"]),
     ],
 )
-def test_what_a_bed_is_warned_of(fine_size, speed, expected):
-    """A mesh too coarse for the filter; a Froude number beyond the rolling regime (0.064)."""
+def test_what_a_bed_is_warned_of(fine_size, speed, rotation, expected):
+    """A mesh too coarse for the filter; a Froude number of 0.064; a bed that does not roll."""
     bed = SimpleNamespace(fine_size=fine_size, filter_length=0.001, converged=True)
     scene = SimpleNamespace(geometry=compose(None, []).plugin("geometry"), speed=speed)
-    found = warnings_of(bed, scene)
+    found = warnings_of(bed, scene, rotation)
     assert len(found) == len(expected)
     assert all(part in warning for part, warning in zip(expected, found, strict=True))
 
