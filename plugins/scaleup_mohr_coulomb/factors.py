@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import ngsolve as ngs
+
 
 class SymmetricFactors:
-    """L D L^T of a symmetric form's matrix; the order of elimination is found once."""
+    """L D L^T of a symmetric form's matrix; the order of elimination is found once.
+
+    On one thread: NGSolve's factorisation starts as many as there are cores and lets them wait by
+    spinning, which on matrices of a few thousand rows costs more than it gains (on two busy cores
+    three quarters of a run), and sums in an order that differs from run to run.
+    """
 
     def __init__(self, form: Any) -> None:
+        ngs.SetNumThreads(1)
         self._form = form
         self.inverse: Any = None
 

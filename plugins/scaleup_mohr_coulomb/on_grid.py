@@ -21,12 +21,15 @@ from scaleup.api import (
     froude_number,
 )
 from scaleup_mohr_coulomb.layer import layer_shear_rate
-from scaleup_mohr_coulomb.steady import mid_bed, sample, surface_speed
+from scaleup_mohr_coulomb.mid_bed import mid_bed, sample, surface_speed
 
 if TYPE_CHECKING:
-    from scaleup_mohr_coulomb.steady import MidBed, SteadyBed
+    from scaleup_mohr_coulomb.mid_bed import MidBed
+    from scaleup_mohr_coulomb.steady import SteadyBed
 
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
+_SLIDING = 0.8  # rotation of the bed over the vessel's below which it no longer rolls
+_RESOLVED = 3.0  # element size over filter length beyond which the filter does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
 
 
@@ -63,6 +66,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         sum(float(((a - b) ** 2).sum()) for a, b in zip(fitted, flux, strict=True))
         / sum(float((b**2).sum()) for b in flux)
     )
+    summary = _summary(bed)
     return flow_from_stream_function(
         grid,
         psi,
@@ -71,8 +75,8 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         axis=geometry.axis,
         angular_velocity=bed.angular_velocity,
         lift=bed.angle,
-        summary=_summary(bed) | {"projection_change": change},
-        warnings=_warnings(bed, scene),
+        summary=summary | {"projection_change": change},
+        warnings=warnings_of(bed, scene, summary["solid_body_ratio"]),
     )
 
 
@@ -152,10 +156,16 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "axis_to_surface": middle.axis_distance,
         **_layer(middle, bed.angular_velocity),
         "volume_drift": bed.area_correction,
+        "velocity_error": bed.velocity_error,
+        "velocity_drift_per_revolution": bed.velocity_drift,
+        "filter_length": bed.filter_length,
+        "ill_posed_share": bed.ill_posed_share,
         "swings_averaged": bed.swings,
         "surface_angle_source": "solved; the error is the scatter between swings",
         "steady_within_tolerance": bed.converged,
         "time_steps": bed.steps,
+        "retries": bed.retries,
+        "time_step_halvings": bed.most_halvings,
         "time_stepping_s": bed.seconds,
     }
 
@@ -170,7 +180,7 @@ def _layer(middle: MidBed, speed: float) -> dict[str, Any]:
     return found
 
 
-def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
+def warnings_of(bed: SteadyBed, scene: Scene, rotation_ratio: float) -> tuple[str, ...]:
     """Sentences on where the model or its mean may not hold."""
     found = []
     froude = froude_number(scene.geometry, scene.speed)
@@ -179,9 +189,21 @@ def _warnings(bed: SteadyBed, scene: Scene) -> tuple[str, ...]:
             f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "
             "cataracts, which a single free surface does not show"
         )
+    if rotation_ratio < _SLIDING:
+        found.append(
+            f"the bed turns at {rotation_ratio:.2f} of the vessel's speed below its layer: it "
+            "slides on the wall instead of rolling"
+        )
+    if bed.fine_size > _RESOLVED * bed.filter_length * (1 + 1e-9):
+        found.append(
+            f"elements of {1e3 * bed.fine_size:.3g} mm do not see the filter length of "
+            f"{1e3 * bed.filter_length:.3g} mm (at most {_RESOLVED:g} times that would): the layer "
+            "is regularised by the mesh, and changes with it"
+        )
     if not bed.converged:
         found.append(
-            f"the surface angle is known to {math.degrees(bed.angle_error):.2f} deg only: the time "
-            "limit came first; raise flow.time_limit to go on"
+            f"the surface angle is known to {math.degrees(bed.angle_error):.2f} deg and the mean "
+            f"velocity to {100 * bed.velocity_error:.2g} % only: the time limit came first; raise "
+            "flow.time_limit to go on"
         )
     return tuple(found)

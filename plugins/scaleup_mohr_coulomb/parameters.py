@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from scaleup.api import GRAVITY, Material
 
@@ -25,15 +26,60 @@ class Drive:
 
 
 @dataclass(frozen=True)
+class Rheology:
+    """How friction depends on the inertial number, beyond what a `Material` says."""
+
+    law: Literal["mohr-coulomb", "mu-i", "regularised-mu-i"] = "mohr-coulomb"
+    friction_rise: float = 0.0
+    """mu_d - mu_s, 1."""
+    i_0: float = 1.0
+    """Inertial number I0 at which half of the rise is reached, 1."""
+    mu_inf: float = 0.0
+    """Slope of the friction of fast flow, 1."""
+    alpha: float = 1.9
+    """Of the regularised law's creep, 1; well-posed below 2."""
+    tensile: float | None = None
+    """Tension at which powder is pulled apart, Pa; None for the apex of the strength's line."""
+
+    @classmethod
+    def by_literature(
+        cls,
+        law: Literal["mohr-coulomb", "mu-i", "regularised-mu-i"] = "mohr-coulomb",
+        friction_rise: float | None = None,
+        i_0: float | None = None,
+        tensile: float | None = None,
+    ) -> Rheology:
+        """Published constants, except where given; mu_s always comes from the friction angle.
+
+        mu-i: glass beads, mu_2 - mu_s = tan 32.76 deg - tan 20.9 deg, I0 = 0.279 (Jop, Forterre &
+        Pouliquen 2006, Nature 441, 727).  regularised-mu-i: mu_d - mu_s = 0.557 - 0.342, I0 =
+        0.069, mu_inf = 0.05, alpha = 1.9 (Barker & Gray 2017).
+        """
+        rise, scale, mu_inf = {
+            "mohr-coulomb": (0.0, 1.0, 0.0),
+            "mu-i": (0.261, 0.279, 0.0),
+            "regularised-mu-i": (0.215, 0.069, 0.05),
+        }[law]
+        return cls(
+            law=law,
+            friction_rise=rise if friction_rise is None else friction_rise,
+            i_0=i_0 or scale,
+            mu_inf=mu_inf,
+            tensile=tensile,
+        )
+
+
+@dataclass(frozen=True)
 class Discretisation:
     """Numerical parameters in SI units; :meth:`by_rule` supplies the defaults of the method."""
 
     coarse_size: float
     """Element size in the passive region and in the air, m.  Rule: R/9."""
     fine_size: float
-    """Element size h in the band about the free surface, m.  Rule: R/24, so that an active
-    layer of R/5 is five quadratic elements deep.  R/14 is too coarse (3 deg too steep a bed); R/35
-    changes the drum's mean angle by 0.2 deg and its mean flux by 3 %."""
+    """Element size h in the band about the free surface, m.  Rule: R/24, so that an active layer
+    of R/5 is five quadratic elements deep, or down to R/36 to see a shorter filter length l = h/3.
+    R/14 is too coarse (3 deg too steep a bed); R/35 changes the drum's mean angle by 0.2 deg and
+    its mean flux by 3 %."""
     half_band: float
     """Half width of the refined band, m.  Rule: R/5, the depth of a drum's active layer."""
     band_angle: float
@@ -44,8 +90,15 @@ class Discretisation:
     time_step: float
     """Time step dt, s.  Rule: sqrt(R/g)/20; the bed's swings last about 9 sqrt(R/g)."""
     filter_length: float
-    """Non-local length of shear rate and pressure, m.  Rule: the grain diameter, but at least
-    h/3, below which the filter does nothing on this mesh."""
+    """Non-local length l of shear rate and pressure, m.  Rule: d/sqrt(8), or R/72 where d/sqrt(8)
+    is less than R/108.
+
+    The filter's kernel has the standard deviation sqrt(2) l along each axis: with d/sqrt(8) half a
+    grain, as wide as the kernels that make fields of grains (coarse-graining: Goldhirsch 2010,
+    Granular Matter 12, 239; Weinhart et al. 2013, Phys. Fluids 25, 070605).  That is physical, and
+    taken where elements of R/36 resolve it (R < 38 d).  R/72 is numerical: a third of the coarser
+    elements that do for smaller grains.  Neither follows the mesh, so that refinement converges to
+    the flow of one l; a mesh of h > 3 l no longer sees the filter."""
     predictor_length: float
     """Length l over which stress beyond yield accelerates powder in the predictor of the shear
     rate, m.  Rule: 0.07 R, a third of an active layer.  It shapes the first avalanche; twice the
@@ -84,6 +137,8 @@ class Discretisation:
         fine_size: float | None = None,
         coarse_size: float | None = None,
         time_step: float | None = None,
+        filter_length: float | None = None,
+        predictor_length: float | None = None,
     ) -> Discretisation:
         """The defaults for a vessel whose farthest wall is ``radius`` (m) from the axis.
 
@@ -96,7 +151,9 @@ class Discretisation:
         viscosity_scale = density * math.sqrt(gravity * radius**3)
         fall_time = math.sqrt(radius / gravity)
         time_step = time_step or fall_time / 20.0
-        fine_size = fine_size or radius / 24.0
+        grain = grain_filter(material)
+        filter_length = filter_length or (grain if grain >= radius / 108.0 else radius / 72.0)
+        fine_size = fine_size or min(radius / 24.0, max(3.0 * filter_length, radius / 36.0))
         return cls(
             coarse_size=max(fine_size, coarse_size or radius / 9.0),
             fine_size=fine_size,
@@ -104,8 +161,8 @@ class Discretisation:
             band_angle=material.friction_angle,
             start_angle=0.75 * material.friction_angle,
             time_step=time_step,
-            filter_length=max(material.grain_diameter, fine_size / 3.0),
-            predictor_length=0.07 * radius,
+            filter_length=filter_length,
+            predictor_length=predictor_length or 0.07 * radius,
             predictor_threshold=time_step / fall_time,
             creep_rate=0.02 * omega,
             slip_speed=0.01 * omega * radius,
@@ -116,12 +173,19 @@ class Discretisation:
         )
 
 
+def grain_filter(material: Material) -> float:
+    """The filter length that spreads a point over half a grain, m."""
+    return material.grain_diameter / math.sqrt(8.0)
+
+
 @dataclass(frozen=True)
 class SteadyOptions:
     """When a bed counts as steady, and when to give up."""
 
     angle_tolerance: float = math.radians(0.25)
     """Standard error of the mean surface angle at which the run stops, rad."""
+    velocity_tolerance: float = 0.02
+    """Standard error of the mean velocity at which the run stops, relative."""
     minimum_swings: int = 4
     """Swings of the bed averaged over, at least."""
     settled_amplitude: float = math.radians(0.1)

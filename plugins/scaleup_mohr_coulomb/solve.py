@@ -13,8 +13,10 @@ import numpy as np
 from scaleup.api import Memory, Progress, RunError, Scene
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
-from scaleup_mohr_coulomb.parameters import Discretisation, Drive, SteadyOptions
-from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, SwingAverage, run_to_steady
+from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
+from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, run_to_steady
+from scaleup_mohr_coulomb.stepping import CarefulSteps
+from scaleup_mohr_coulomb.swings import SwingAverage
 from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 if TYPE_CHECKING:
@@ -41,9 +43,22 @@ def steady_bed(
         options.fine_size,
         options.coarse_size,
         options.time_step,
+        options.filter_length,
+        options.predictor_length,
     )
-    sizes = options.model_dump(mode="json", include={"fine_size", "coarse_size", "time_step"})
-    inputs = {"scene": dict(scene.inputs), "sizes": sizes}
+    asked = {"fine_size", "coarse_size", "time_step", "filter_length", "predictor_length"}
+    sizes = options.model_dump(mode="json", include=asked)
+    rheology = Rheology.by_literature(
+        options.rheology,
+        options.friction_rise,
+        options.inertial_number_0,
+        options.tensile_strength,
+    )
+    inputs = {
+        "scene": dict(scene.inputs),
+        "sizes": sizes,
+        "rheology": dataclasses.asdict(rheology),
+    }
     mesh = cross_section_mesh(
         scene.geometry.solid(),
         numerics.coarse_size,
@@ -55,25 +70,31 @@ def steady_bed(
     vertices = np.array([vertex.point for vertex in mesh.vertices])
     # what the run goes through does not depend on when it stops: a checkpoint outlives the limit
     unfinished = inputs | {"stage": "checkpoint"}
-    finished = inputs | {"stage": "steady", "angle_tolerance": options.angle_tolerance}
+    finished = inputs | {
+        "stage": "steady",
+        "angle_tolerance": options.angle_tolerance,
+        "velocity_tolerance": options.velocity_tolerance,
+    }
     known = memory.recall(finished)
     if known is not None and np.array_equal(known["vertices"], vertices):
         progress(1.0, "steady bed reused from the store")
         return _from_arrays(known, mesh, numerics)
 
-    flow = TwoPhaseFlow(mesh, scene.material, drive, numerics)
-    average = SwingAverage(flow)
+    flow = TwoPhaseFlow(mesh, scene.material, drive, numerics, rheology)
+    steps = CarefulSteps(flow, SwingAverage(flow))
     checkpoint = memory.recall(unfinished)
     if checkpoint is not None and np.array_equal(checkpoint["vertices"], vertices):
         flow.restore(_part(checkpoint, "flow"))
-        average.restore(_part(checkpoint, "average"))
+        steps.average.restore(_part(checkpoint, "average"))
+        steps.restore(_part(checkpoint, "steps"))
         progress(0.0, f"resumed at t = {flow.time:.2f} s")
     last_kept = time.monotonic()
 
     def keep() -> None:
         arrays = {"vertices": vertices}
         arrays |= {f"flow.{name}": data for name, data in flow.state().items()}
-        arrays |= {f"average.{name}": data for name, data in average.state().items()}
+        arrays |= {f"average.{name}": data for name, data in steps.average.state().items()}
+        arrays |= {f"steps.{name}": data for name, data in steps.state().items()}
         memory.keep(unfinished, arrays)
 
     def keep_and_report(fraction: float, message: str) -> None:
@@ -84,12 +105,17 @@ def steady_bed(
         progress(fraction, message)
 
     limit = options.time_limit or _TIME_LIMIT * math.sqrt(scene.geometry.reach / drive.gravity)
-    steady = SteadyOptions(angle_tolerance=options.angle_tolerance, time_limit=limit)
+    steady = SteadyOptions(
+        angle_tolerance=options.angle_tolerance,
+        velocity_tolerance=options.velocity_tolerance,
+        time_limit=limit,
+    )
     try:
-        bed = run_to_steady(flow, steady, keep_and_report, average)
+        bed = run_to_steady(steps, steady, keep_and_report)
     except FlowDiverged as error:
         memory.forget(unfinished)
-        raise RunError(str(error)) from error
+        halved = steps.recovery.most_halvings
+        raise RunError(f"{error} (It had been halved {halved} times already.)") from error
     except NotSteady as error:
         keep()
         raise RunError(str(error)) from error

@@ -1,0 +1,128 @@
+"""The paper's drum with 2 mm grains, by each rheology, beside a particle simulation of it.
+
+Surface angle, active layer, surface speed and the streamwise velocity at mid-bed, for the three
+rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults), and
+for constant friction with half and twice the filter length and the predictor length. Nothing is
+fitted. Results are kept in a JSON file, so that the study goes on where it stopped; one solve takes
+some minutes.
+
+    python benchmarks/drum_against_particles.py --reference reference.json [--output DIR] [CASE ...]
+
+The reference holds, under "run_B": "midbed_profile" with "depth_m" and "v_streamwise_m_per_s", and
+"surface" with "dynamic_angle_of_repose_deg" and "angle_vs_time" with "time_s" and "angle_deg".
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from scaleup.api import Scene
+from scaleup.config import compose, fill_volume
+from scaleup.flow_source import make_grid
+from scaleup.storage import Store
+from scaleup_mohr_coulomb.mid_bed import mid_bed, surface_speed
+from scaleup_mohr_coulomb.solve import steady_bed
+
+BASE = ("material.grain_diameter=2 mm",)
+CASES = {
+    "mohr-coulomb": (),
+    "mu-i": ("flow.rheology=mu-i",),
+    "regularised-mu-i": ("flow.rheology=regularised-mu-i",),
+    "filter x 1/2": ("flow.filter_length=0.3536 mm", "flow.fine_size=2.1 mm"),
+    "filter x 2": ("flow.filter_length=1.4142 mm", "flow.fine_size=2.1 mm"),
+    "predictor x 1/2": ("flow.predictor_length=2.45 mm",),
+    "predictor x 2": ("flow.predictor_length=9.8 mm",),
+}
+COMPARED = (1e-3, 12e-3)  # m of depth
+
+
+def solve(name: str, changes: tuple[str, ...]) -> dict[str, Any]:
+    config = compose(None, [*BASE, *changes])
+    scene = Scene(
+        geometry=config.plugin("geometry"),
+        material=config.material,
+        speed=config.operation.speed,
+        fill_volume=fill_volume(config),
+        grid=make_grid(config),
+        inputs={"study": "drum against particles", "case": name},
+    )
+    flow = config.plugin("flow")
+    memory = Store().memory_of(type(flow), type(scene.geometry))
+    bed = steady_bed(scene, flow.options, lambda share, text: print(f"{name}: {text}"), memory)
+    middle = mid_bed(bed)
+    return {
+        "angle_deg": float(np.degrees(bed.angle)),
+        "angle_error_deg": float(np.degrees(bed.angle_error)),
+        "velocity_error": bed.velocity_error,
+        "layer_m": middle.reversal_depth,
+        "surface_speed": float(surface_speed(bed)[1].max()),
+        "flux_balance": middle.downflow / middle.upflow,
+        "volume": bed.area_correction,
+        "seconds": bed.seconds,
+        "depth": middle.depth.tolist(),
+        "speed": middle.speed.tolist(),
+        "times": bed.times.tolist(),
+        "angles_deg": np.degrees(bed.angles).tolist(),
+    }
+
+
+def profile_error(result: dict[str, Any], reference: dict[str, Any]) -> float:
+    """Root mean square difference over the compared depths, over the reference's range there."""
+    profile = reference["midbed_profile"]
+    depth, speed = np.array(profile["depth_m"]), np.array(profile["v_streamwise_m_per_s"])
+    there = (depth > COMPARED[0]) & (depth < COMPARED[1])
+    order = np.argsort(result["depth"])
+    ours = np.interp(
+        depth[there], np.array(result["depth"])[order], np.array(result["speed"])[order]
+    )
+    return float(np.sqrt(((ours - speed[there]) ** 2).mean()) / np.ptp(speed[there]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--reference", type=Path, required=True)
+    parser.add_argument("--output", type=Path, default=Path("runs/drum-against-particles"))
+    parser.add_argument("cases", nargs="*", default=list(CASES))
+    asked = parser.parse_args()
+    reference = json.loads(asked.reference.read_text())["run_B"]
+    asked.output.mkdir(parents=True, exist_ok=True)
+    store = asked.output / "results.json"
+    results = json.loads(store.read_text()) if store.exists() else {}
+    for name in asked.cases:
+        if name not in results:
+            results[name] = solve(name, CASES[name])
+            store.write_text(json.dumps(results))
+    print("| case | angle, deg | layer, mm | surface speed, m/s | profile rms | down/up | volume |")
+    print("|---|---|---|---|---|---|---|")
+    figure, (profiles, angles) = plt.subplots(1, 2, figsize=(10, 4))
+    for name, result in results.items():
+        print(
+            f"| {name} | {result['angle_deg']:.2f} +- {result['angle_error_deg']:.2f} "
+            f"| {1e3 * result['layer_m']:.1f} | {result['surface_speed']:.3f} "
+            f"| {100 * profile_error(result, reference):.1f} % | {result['flux_balance']:.3f} "
+            f"| {100 * result['volume']:.2f} % |"
+        )
+        profiles.plot(1e3 * np.array(result["depth"]), result["speed"], label=name)
+        angles.plot(result["times"], result["angles_deg"], label=name)
+    particles, history = reference["midbed_profile"], reference["surface"]["angle_vs_time"]
+    depth = 1e3 * np.array(particles["depth_m"])
+    profiles.plot(depth, particles["v_streamwise_m_per_s"], "k.", label="particles")
+    angles.plot(history["time_s"], history["angle_deg"], "k.", label="particles")
+    profiles.set(xlim=(0, 30), xlabel="depth at mid-bed, mm", ylabel="streamwise speed, m/s")
+    angles.set(xlim=(0.4, 5), ylim=(15, 35), xlabel="time, s", ylabel="surface angle, deg")
+    profiles.legend(fontsize="small")
+    figure.tight_layout()
+    figure.savefig(asked.output / "drum-against-particles.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""One time step of momentum and mass, for two phases of given fraction, in 2-D or 3-D.
+
+    rho (du/dt + u.grad u) = -grad p + div(2 eta E(u)) + rho g,    div u = 0,
+    rho = alpha rho_powder + (1 - alpha) rho_air,
+    eta = alpha max(eta_powder, eta_air) + (1 - alpha) eta_air,    E(u) = (grad u + grad u^T)/2.
+
+At the wall u.n = 0 and the powder slides with Coulomb friction against the wall's velocity w,
+t = -mu_w p (u_t - w_t)/sqrt(|u_t - w_t|^2 + v_e^2); elsewhere the boundary is free of stress.
+
+Taylor-Hood elements (quadratic velocity, linear pressure), Nitsche's method for u.n = 0, backward
+Euler, one linear solve per step: the powder's viscosity, the wall friction and convection are taken
+from the step before, so that the matrix stays symmetric.  Explicit convection alone would grow
+wherever rho u^2 dt > 2 eta; the next term of its Taylor series, dt/2 u.grad(u.grad u) in the new
+velocity (Lax-Wendroff in time), keeps it stable at any step.  A Newton tangent would expose the
+growth of short waves that makes constant friction ill-posed, and diverges.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ngsolve as ngs
+
+from scaleup.api import Material
+
+from .factors import SymmetricFactors
+from .parameters import Discretisation
+from .viscosity import CUT_CELL_ORDER, Viscosity
+
+# Nitsche's penalty on u.n, in units of eta/h and of rho h/dt.
+_NITSCHE_VISCOUS = 20.0
+_NITSCHE_INERTIAL = 5.0
+# Compressibility (1/Pa) that fixes the pressure's constant and lets L D L^T do without pivoting.
+_COMPRESSIBILITY = 1.0e-9
+
+
+class Momentum:
+    """Solver for velocity and pressure at the end of a step.
+
+    ``solution`` is a function on velocity x pressure, ``previous`` on the velocity's space;
+    ``time_step`` an ngs.Parameter, s; ``wall`` the name of the boundary that is one.
+    """
+
+    def __init__(
+        self,
+        solution: Any,
+        previous: Any,
+        viscosity: Viscosity,
+        fraction: Any,
+        material: Material,
+        numerics: Discretisation,
+        time_step: Any,
+        gravity: Any,
+        wall_velocity: Any,
+        wall: str = ".*",
+    ) -> None:
+        self._solution, self._previous = solution, previous
+        space, alpha, dt, old = solution.space, fraction, time_step, previous
+        mesh = space.mesh
+        velocity = solution.components[0]
+        (u, p), (v, q) = space.TnT()
+        n, h = ngs.specialcf.normal(mesh.dim), ngs.specialcf.mesh_size
+        rho = numerics.air_density + (material.bulk_density - numerics.air_density) * alpha
+        bounded = ngs.IfPos(
+            viscosity.field - numerics.air_viscosity, viscosity.field, numerics.air_viscosity
+        )
+        eta = alpha * bounded + (1.0 - alpha) * numerics.air_viscosity
+
+        def strain_rate(w: Any) -> Any:
+            return ngs.Sym(ngs.Grad(w))
+
+        def tangential(w: Any) -> Any:
+            return w - (w * n) * n
+
+        slip = tangential(velocity - wall_velocity)
+        slip_speed = ngs.sqrt(ngs.InnerProduct(slip, slip) + numerics.slip_speed**2)
+        compression = ngs.IfPos(viscosity.pressure, viscosity.pressure, 0.0)
+        wall_drag = (
+            material.wall_friction * compression * alpha / slip_speed + numerics.air_viscosity / h
+        )
+        normal_penalty = _NITSCHE_VISCOUS * eta / h + _NITSCHE_INERTIAL * rho * h / dt
+
+        self._constant = ngs.BilinearForm(space, symmetric=True)
+        self._constant += (
+            numerics.grad_div * ngs.div(u) * ngs.div(v)
+            - p * ngs.div(v)
+            - q * ngs.div(u)
+            - _COMPRESSIBILITY * p * q
+        ).Compile() * ngs.dx
+        on_wall = ngs.ds(
+            skeleton=True, definedon=mesh.Boundaries(wall), bonus_intorder=CUT_CELL_ORDER
+        )
+        self._constant += (p * (v * n) + q * (u * n)).Compile() * on_wall
+        self._constant.Assemble()
+
+        interior = ngs.dx(bonus_intorder=CUT_CELL_ORDER)
+        self._matrix = ngs.BilinearForm(space, symmetric=True)
+        self._matrix += (
+            rho / dt * ngs.InnerProduct(u, v)
+            + 0.5 * dt * rho * ngs.InnerProduct(ngs.Grad(u) * old, ngs.Grad(v) * old)
+            + 2.0 * eta * ngs.InnerProduct(strain_rate(u), ngs.Grad(v))
+        ).Compile() * interior
+        self._matrix += (
+            normal_penalty * (u * n) * (v * n)
+            - 2.0 * eta * ((strain_rate(u) * n) * n) * (v * n)
+            - 2.0 * eta * ((strain_rate(v) * n) * n) * (u * n)
+            + wall_drag * ngs.InnerProduct(tangential(u), tangential(v))
+        ).Compile() * on_wall
+        self._load = ngs.LinearForm(space)
+        self._load += (
+            rho * ngs.InnerProduct(gravity + old / dt - ngs.Grad(old) * old, v)
+        ).Compile() * interior
+        self._load += (
+            wall_drag * ngs.InnerProduct(wall_velocity, tangential(v))
+        ).Compile() * on_wall
+        self._factors = SymmetricFactors(self._matrix)
+
+    def step(self) -> None:
+        """Keep the velocity as the previous one and solve for the next, with its pressure."""
+        self._previous.vec.data = self._solution.components[0].vec
+        self._matrix.Assemble()
+        self._matrix.mat.AsVector().data += self._constant.mat.AsVector()
+        self._load.Assemble()
+        self._factors.update()
+        self._solution.vec.data = self._factors.inverse * self._load.vec

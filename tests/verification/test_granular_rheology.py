@@ -1,0 +1,193 @@
+"""Friction laws against published constants, and Bagnold flow against its exact profile."""
+
+import math
+from dataclasses import replace
+
+import ngsolve as ngs
+import numpy as np
+import pytest
+from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
+
+from scaleup.config import compose
+from scaleup.errors import InputError
+from scaleup.scene import Material
+from scaleup_mohr_coulomb.momentum import Momentum
+from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
+from scaleup_mohr_coulomb.rheology import (
+    Friction,
+    InertialFriction,
+    RegularisedFriction,
+    Strength,
+    ill_posedness,
+)
+from scaleup_mohr_coulomb.viscosity import Viscosity
+
+MESH = MakeStructured2DMesh(quads=False, nx=1, ny=1)
+BARKER_GRAY = {"mu_s": 0.342, "mu_d": 0.557, "i_0": 0.069}
+
+
+def value(expression) -> float:
+    """A coefficient function that is the same everywhere."""
+    return float(ngs.CoefficientFunction(expression)(MESH(0.3, 0.3)))
+
+
+def test_the_regularised_law_has_the_published_constants():
+    law = RegularisedFriction(InertialFriction(**BARKER_GRAY, mu_inf=0.05), 1.9)
+    assert law.i_1 == pytest.approx(0.0039628, rel=1e-4)
+    assert law.a == pytest.approx(15641, rel=1e-4)
+    plain = RegularisedFriction(InertialFriction(**BARKER_GRAY), 1.9)
+    assert plain.i_1 == pytest.approx(0.003972, rel=2e-4)
+
+
+LAWS = [
+    InertialFriction(0.382, 0.643, 0.279),
+    InertialFriction(**BARKER_GRAY, mu_inf=0.05),
+    RegularisedFriction(InertialFriction(**BARKER_GRAY, mu_inf=0.05), 1.9),
+]
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("i", [1e-5, 1e-3, 0.02, 1.0])
+def test_exponents_are_logarithmic_slopes(law, i):
+    up, down = value(law.coefficient(i * 1.001)), value(law.coefficient(i * 0.999))
+    slope = math.log(up / down) / math.log(1.001 / 0.999)
+    assert value(law.exponent(i)) == pytest.approx(slope, rel=1e-5, abs=1e-9)
+
+
+def test_where_laws_are_ill_posed():
+    """Constant friction everywhere; mu(I) in slow and in very fast flow; the regularised law up to
+    I of about 17, as published."""
+
+    def ill_posed(law, i):
+        return value(ill_posedness(law.coefficient(i), law.exponent(i))) > 0
+
+    numbers = np.logspace(-6, 1.2, 30)
+    assert all(ill_posed(Friction(0.4), i) for i in numbers)
+    jop, _, regularised = LAWS
+    assert ill_posed(jop, 1e-3)
+    assert not ill_posed(jop, 0.1)
+    assert ill_posed(jop, 10.0)
+    assert not any(ill_posed(regularised, i) for i in numbers)
+    assert ill_posed(regularised, 20.0)
+    at = value(regularised.coefficient(regularised.i_1))
+    assert value(regularised.coefficient(regularised.i_1 * 1.0001)) == pytest.approx(at, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("cohesion", "tensile", "pressure", "share"),
+    [
+        (10.0, None, -10.0, 1 - 10 * 0.43689 / 9.16363),
+        (10.0, None, -30.0, 0.0),
+        (10.0, 4.0, -2.0, 0.5),
+        (10.0, 0.0, -0.1, 0.0),
+        (10.0, 0.0, 0.0, 1.0),
+        (0.0, None, -1.0, 0.0),
+    ],
+)
+def test_tension_is_cut_off(cohesion, tensile, pressure, share):
+    """Strength under tension, as a share of c cos(phi)."""
+    strength = Strength.of(Material(cohesion=cohesion), Rheology(tensile=tensile))
+    carried = value(strength(1.0, ngs.CoefficientFunction(pressure)))
+    assert carried == pytest.approx(share * 9.16363, abs=1e-3)
+
+
+def test_the_ill_posed_share_of_a_law():
+    mu_i = Rheology.by_literature("mu-i")
+    for rheology, rate, expected in [(Rheology(), 1.0, 1), (mu_i, 0.1, 1), (mu_i, 20.0, 0)]:
+        strength = Strength.of(Material(), rheology)
+        assert value(strength.ill_posed(rate, ngs.CoefficientFunction(100.0))) == expected
+
+
+def test_constant_friction_takes_no_constants_of_mu_i():
+    with pytest.raises(InputError, match="constant friction"):
+        compose(None, ["flow.friction_rise=0.2"])
+
+
+# Bagnold flow: depth, gravity and density 1; rough base; I_a the inertial number of the slope.
+SLOPE, GRAIN = 0.43, 0.04
+LAW = Rheology("mu-i", friction_rise=0.26, i_0=0.3)
+MU_S = 0.38
+I_A = LAW.i_0 * (math.tan(SLOPE) - MU_S) / (MU_S + LAW.friction_rise - math.tan(SLOPE))
+SURFACE_SPEED = 2 / 3 * I_A / GRAIN * math.sqrt(math.cos(SLOPE))
+
+
+def bagnold_error(dimension: int, layers: int, time_step: float = 0.3) -> float:
+    """Relative L2 error of the velocity once the flow no longer changes."""
+    cells = {f"periodic_{axis}": True for axis in "xy"[: dimension - 1]}
+    if dimension == 2:
+        mesh = MakeStructured2DMesh(
+            quads=False, nx=2, ny=layers, **cells, mapping=lambda x, y: (2 * x, y)
+        )
+        depth, down = 1.0 - ngs.y, (math.sin(SLOPE), -math.cos(SLOPE))
+    else:
+        mesh = MakeStructured3DMesh(
+            hexes=False,
+            nx=2,
+            ny=2,
+            nz=layers,
+            **cells,
+            mapping=lambda x, y, z: (2 * x, 2 * y, z),
+        )
+        depth, down = 1.0 - ngs.z, (math.sin(SLOPE), 0.0, -math.cos(SLOPE))
+    material = Material(
+        bulk_density=1.0,
+        grain_density=1.0 + 1e-9,
+        friction_angle=math.atan(MU_S),
+        grain_diameter=GRAIN,
+        wall_friction=1.0,
+    )
+    numerics = replace(
+        Discretisation.by_rule(material, Drive(1.0, 0.1, gravity=1.0), 1.0, time_step=time_step),
+        filter_length=0.0,
+        creep_rate=1e-6,
+        slip_speed=1e-5,
+        air_viscosity=1e-9,
+    )
+    linear = ngs.Compress(ngs.Periodic(ngs.H1(mesh, order=1)))
+    quadratic = ngs.Compress(ngs.Periodic(ngs.VectorH1(mesh, order=2)))
+    solution, previous = ngs.GridFunction(quadratic * linear), ngs.GridFunction(quadratic)
+    velocity, pressure = solution.components
+    below = ngs.IfPos(depth, depth, 0.0)
+    exact = ngs.CoefficientFunction((SURFACE_SPEED * (1.0 - below**1.5), *[0.0] * (dimension - 1)))
+    velocity.Set(exact)
+    pressure.Set(math.cos(SLOPE) * depth)
+    powder, step = ngs.CoefficientFunction(1.0), ngs.Parameter(time_step)
+    viscosity = Viscosity(
+        velocity, pressure, powder, Strength.of(material, LAW), 1.0, numerics, step, linear
+    )
+    momentum = Momentum(
+        solution,
+        previous,
+        viscosity,
+        powder,
+        material,
+        numerics,
+        step,
+        gravity=ngs.CoefficientFunction(down),
+        wall_velocity=ngs.CoefficientFunction((0.0,) * dimension),
+        wall="bottom|top",
+    )
+    top = mesh.Boundaries("top")
+    area = ngs.Integrate(1.0, mesh, definedon=top)
+    for _ in range(600):
+        viscosity.update()
+        momentum.step()
+        pressure.vec.FV().NumPy()[:] -= ngs.Integrate(pressure, mesh, definedon=top) / area
+        change = np.abs(velocity.vec.FV().NumPy() - previous.vec.FV().NumPy()).max() / time_step
+        if change < 5e-6:
+            break
+    assert change < 5e-6
+    error = velocity - exact
+    return math.sqrt(
+        ngs.Integrate(error * error, mesh, order=8) / ngs.Integrate(exact * exact, mesh, order=8)
+    )
+
+
+@pytest.mark.parametrize(("dimension", "layers"), [(2, (4, 8, 16)), (3, (2, 4))])
+def test_bagnold_flow(dimension, layers):
+    """The surface is a lid without pressure, and so without friction."""
+    assert pytest.approx(2.06631, rel=1e-5) == SURFACE_SPEED
+    errors = [bagnold_error(dimension, n) for n in layers]
+    order = -np.polyfit(np.log(layers), np.log(errors), 1)[0]
+    assert errors[-1] < 0.01
+    assert order > 1.5
