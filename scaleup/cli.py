@@ -48,6 +48,7 @@ def cli() -> None:
 @click.option("--output", type=click.Path(path_type=Path), help="Run folder [runs/NAME-TIME].")
 @click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
 @click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
+@click.option("--animate", is_flag=True, help="Animate the first revolution (GIF).")
 def simulate(
     config: Path | None,
     geometry: str | None,
@@ -60,6 +61,7 @@ def simulate(
     output: Path | None,
     overwrite: bool,
     force: bool,
+    animate: bool,
 ) -> None:
     """Blend a powder: flow, mixing, metrics and report.
 
@@ -75,6 +77,8 @@ def simulate(
         flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
     if tolerance is not None:
         flags["accuracy"] = {"tolerance": _number("--tolerance", tolerance)}
+    if animate:
+        flags["output"] = {"animate": "first"}
     run_config = compose(config, assignments, flags)
     folder = (
         output or Path("runs") / f"{run_config.geometry['name']}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -105,6 +109,17 @@ def resume(folder: Path, ranks: int | None, force: bool) -> None:
     config = compose(work_folder(folder) / "config.toml")
     relaunch_if_needed(ranks)
     _run(config, folder, overwrite=True, resume=True, force=force)
+
+
+@cli.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+def report(folder: Path) -> None:
+    """Make the figures and report.html of a finished run again; FOLDER is what --output was."""
+    from scaleup.report import redraw
+
+    _log_to_terminal(True)
+    redraw(folder)
+    click.echo(f"report               {folder / 'report.html'}")
 
 
 @cli.command()
