@@ -163,6 +163,18 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
         (["broken.toml"], "the configuration broken.toml is not TOML"),
         (["--colour", "red"], "No such option"),
         (
+            ["--geometry", "tote", "--set", "geometry.axis_height=5 m"],
+            "geometry.name = 'tote': the axis of rotation misses the vessel",
+        ),
+        (
+            ["--geometry", "v-blender", "--set", "operation.fill.mass=1 t"],
+            "operation.fill.mass = 1000 kg: the vessel holds 11.6 kg",
+        ),
+        (
+            ["--geometry", "drum", "--set", "geometry.diameter=140"],
+            "reaches 70 m from its axis and holds 154 m^3, but must reach 0.005 to 20 m",
+        ),
+        (
             [
                 "--set",
                 "operation.loading.pattern=region",
