@@ -37,6 +37,14 @@ _FLOW_KEYS = (
     "flux_midbed",
     "volume_drift",
 )
+_UNITS = {
+    "surface_speed_max": "m/s",
+    "active_layer_thickness": "m",
+    "flux_midbed": "m^2/s",
+    "shear_rate": "1/s",
+    "spacing": "m",
+    "mass": "kg",
+}
 _LONG = 12  # values of a list that a table still shows
 _OVERSHOOT, _MASS_DRIFT, _CELLS_PER_LAYER = 0.05, 2e-3, 10
 _LIBRARIES = ("numpy", "mpi4py", "petsc4py", "ngsolve", "h5py", "numba", "pydantic")
@@ -173,7 +181,15 @@ def _reasons(config: RunConfig, outcome: FlowOutcome) -> list[str]:
     reasons = []
     if flow.grid.dimension == 2:
         reasons.append(f"2-D: the geometry {config.geometry['name']!r} is a cross-section")
-    if flow.steady:
+    else:
+        reasons.append(f"3-D: the geometry {config.geometry['name']!r} is a vessel in space")
+    if flow.frame == "vessel":
+        turns = (flow.times[flow.prefix] - flow.times[0]) / config.operation.period
+        reasons.append(
+            "periodic, in the frame of the vessel: the resting part of the bed is not smeared; one "
+            f"revolution is repeated after a start-up of {turns:.2f}"
+        )
+    elif flow.steady:
         reasons.append("steady: the bed stands still in the lab frame once it flows")
     reasons.append(f"flow {config.flow['name']!r} and mixing {config.mixing['name']!r} as asked")
     if outcome.reused:
@@ -344,6 +360,7 @@ def _html(report: dict[str, Any], pictures: list[tuple[str, Path]]) -> str:
         loader=jinja2.PackageLoader("scaleup", "templates"), autoescape=True
     )
     environment.filters["figure"] = _shown
+    environment.filters["label"] = _label
     embedded = [
         (caption, path.suffix[1:], base64.b64encode(path.read_bytes()).decode())
         for caption, path in pictures
@@ -351,7 +368,17 @@ def _html(report: dict[str, Any], pictures: list[tuple[str, Path]]) -> str:
     return environment.get_template("report.html").render(report=report, pictures=embedded)
 
 
+def _label(key: str) -> str:
+    """A key in words, with its unit."""
+    unit = _UNITS.get(key)
+    return key.replace("_", " ") + (f", {unit}" if unit else "")
+
+
 def _shown(value: Any) -> str:
+    if value is None:
+        return "not given"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, list | tuple) and len(value) > _LONG:

@@ -186,7 +186,7 @@ def test_a_unit_must_be_given_and_an_unreadable_file_is_said(tmp_path):
         ("turned", [], "opposite orientations"),
         ("flat", [], "degenerate"),
         ("mm", [], "holds 2.4e+07 m^3, but must reach 0.005 to 20 m; check the unit"),
-        ("", ["geometry.unit=mm"], "holds 2.4e-11 m^3, but must reach 0.005 to 20 m; check the"),
+        ("", ["geometry.unit=mm"], "holds 2.4e-11 m^3, but must reach 0.005 to 20 m; check"),
         ("", ["operation.fill.volume_fraction=1.1"], "volume_fraction = 1.1: input should be less"),
         ("", ["geometry.axis_point=['1 m', 0, 0]"], "the axis of rotation misses the vessel"),
         ("", ["operation.fill.mass=100 kg"], "the vessel holds 36 kg"),
