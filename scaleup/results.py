@@ -59,6 +59,7 @@ class Results:
         shares = (grid.cells / _PICTURE_CELLS) ** (1 / grid.dimension)
         self._factor = max(1, math.ceil(shares - 1e-9))
         self._coarse = grid.coarsened(self._factor)
+        self._with_velocity: dict[tuple[float, float], str] = {}  # snapshots by their interval
 
     @classmethod
     def of(cls, folder: Path, flow: FlowField) -> Results:
@@ -94,12 +95,23 @@ class Results:
     def add(
         self, revolution: float, interval: Interval, time: float, concentration: FloatArray
     ) -> None:
-        """Append all fields at one time; cells without bed hold NaN, and no fill."""
+        """Append all fields at one time; cells without bed hold NaN, and no fill.
+
+        A flow that repeats has the same velocities every turn: they are stored once, and linked.
+        """
         fields = {"fill_fraction": interval.fill(time) / self.grid.cell_volume}
         fields |= {f"concentration_{k + 1}": c for k, c in enumerate(concentration)}
-        for axis, component in enumerate(interval.velocity(self.grid)):
-            fields["velocity_" + "xyz"[axis]] = component
+        key, name = (interval.start, interval.end), _name(revolution)
+        known = self._with_velocity.setdefault(key, name)
+        if known == name:
+            for axis, component in enumerate(interval.velocity(self.grid)):
+                fields["velocity_" + "xyz"[axis]] = component
         self._append("snapshots", revolution, self.grid, interval.cells, fields)
+        if known != name:
+            with h5py.File(self._path, "a") as file:
+                stored = file["snapshots"]
+                for field in [f for f in stored[known] if f.startswith("velocity")]:
+                    stored[name][field] = stored[known][field]
 
     def add_picture(
         self, revolution: float, interval: Interval, time: float, concentration: FloatArray

@@ -134,6 +134,24 @@ def test_a_cut_shows_the_wall_where_it_is():
     assert area == pytest.approx(0.1 * 0.14, rel=0.01)
 
 
+def test_velocities_of_a_repeated_interval_are_stored_once(tmp_path):
+    flow = rocking_box(3)
+    stored = Results.of(tmp_path, flow)
+    stored.create()
+    for revolution, index in ((0.0, 1), (1.0, 1), (1.5, 5)):
+        interval = flow.intervals[index]
+        c = np.full((2, len(interval.cells)), 0.5)
+        stored.add(revolution, interval, interval.end, c)
+        seen = stored.snapshot(revolution)
+        for axis, wanted in enumerate(interval.velocity(flow.grid)):
+            field = seen["velocity_" + "xyz"[axis]].ravel()
+            np.testing.assert_array_equal(field[interval.cells], wanted.astype("f4"))
+    with h5py.File(tmp_path / "results.h5", "r") as file:
+        first, again, other = (group["velocity_x"] for group in file["snapshots"].values())
+        assert first == again  # the same object
+        assert first != other
+
+
 def test_pictures_on_merged_cells_hold_the_same_volume(tmp_path, monkeypatch):
     flow = rocking_box(3)
     interval = flow.intervals[0]
