@@ -47,6 +47,26 @@ def phases(path: Path, pictures: Sequence[Picture], wall: Wall) -> None:
     save(figure, path)
 
 
+def beds(path: Path, shown: Sequence[tuple[str, Picture, Wall]]) -> None:
+    """The beds of several runs side by side, each in a scale of its own.
+
+    shown -- (name, picture, wall)
+    """
+    columns = min(4, len(shown))
+    rows = math.ceil(len(shown) / columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(3.2 * columns + 0.8, 3.4 * rows), squeeze=False,
+        layout="constrained",
+    )  # fmt: skip
+    for axis, (name, picture, wall) in zip(axes.flat, shown, strict=False):
+        _draw(axis, picture, wall)
+        axis.set_title(f"{name}\n{_when(picture)}", fontsize=11)
+    for axis in axes.flat[len(shown) :]:
+        axis.axis("off")
+    _colour_bar(figure, axes)
+    save(figure, path)
+
+
 def cuts(path: Path, pictures: Sequence[Picture], wall: Wall) -> None:
     """The bed cut across the axis and along it, at several times."""
     planes: tuple[Literal["z", "x"], ...] = (

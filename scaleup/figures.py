@@ -145,6 +145,24 @@ def blend_curve(
     save(figure, path)
 
 
+def blend_curves(path: Path, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
+    """Blend curves of several runs: segregation intensity and relative standard deviation.
+
+    runs -- (name, the section `mixing` of report.json)
+    """
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    for name, mixing in runs:
+        axes[0].plot(mixing["revolutions"], mixing["segregation_intensity"], label=name)
+        axes[1].plot(mixing["revolutions"], mixing["rsd"], label=name)
+    axes[0].set(ylabel="segregation intensity I over nodes", ylim=(0, None))
+    axes[1].set(ylabel="relative standard deviation at scrutiny", yscale="log")
+    for axis in axes:
+        axis.set_xlabel("revolutions")
+        axis.grid(alpha=0.3, which="both")
+    axes[0].legend(fontsize=9)
+    save(figure, path)
+
+
 def centre_profiles(path: Path, profiles: Mapping[str, Sequence[Sequence[float]]]) -> None:
     """Concentration along the bed's centre line (the paper's Fig. 15)."""
     figure, axis = plt.subplots(figsize=(6, 3.8), layout="constrained")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -32,27 +33,24 @@ class FlowOutcome:
     key: str
 
 
+@dataclass(frozen=True)
+class _Wanted:
+    """A flow that a run needs: its inputs but for the grid, and where it is kept."""
+
+    inputs: dict[str, Any]
+    key: str
+    path: Path
+
+
+def stored_flow(config: RunConfig) -> Path:
+    """Where the store keeps the flow of a run, once it is solved."""
+    return _wanted(config).path
+
+
 def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     """The FlowField of a run, from the store or solved and stored; collective."""
-    store = Store()
-    grid = make_grid(config)
-    flow_plugin = registry.load("flow", config.flow["name"])
-    geometry_plugin = registry.load("geometry", config.geometry["name"])
-    scene_inputs = {
-        "geometry": {
-            "name": config.geometry["name"],
-            **_dump(config.options("geometry")),
-            "fingerprint": getattr(config.plugin("geometry"), "fingerprint", ""),
-        },
-        "material": _dump(config.material),
-        "speed": config.operation.speed,
-        "fill_volume": fill_volume(config),
-    }
-    flow_options = {"name": config.flow["name"], **_dump(config.options("flow"))}
-    key = storage.content_hash(
-        scene_inputs | {"flow": flow_options, "grid": asdict(grid)}, flow_plugin, geometry_plugin
-    )
-    path = store.path("flow", key)
+    store, wanted, grid = Store(), _wanted(config), make_grid(config)
+    path = wanted.path
 
     def solve() -> tuple[float, bool]:
         if path.exists():
@@ -65,10 +63,10 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
             speed=config.operation.speed,
             fill_volume=fill_volume(config),
             grid=grid,
-            inputs=scene_inputs,
+            inputs=wanted.inputs,
         )
         with Reporter("flow", visible=True) as progress:
-            memory = store.memory_of(flow_plugin, geometry_plugin)
+            memory = store.memory_of(*_plugins(config))
             flow = config.plugin("flow").solve(scene, MPI.COMM_SELF, progress, memory)
         check_flow(flow, scene.geometry, scene.fill_volume)
         storage.write_flow(path, flow)
@@ -77,7 +75,33 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
         return seconds, False
 
     seconds, reused = on_root(comm, solve)
-    return FlowOutcome(storage.read_flow(path), seconds, reused, key)
+    return FlowOutcome(storage.read_flow(path), seconds, reused, wanted.key)
+
+
+def _wanted(config: RunConfig) -> _Wanted:
+    inputs = {
+        "geometry": {
+            "name": config.geometry["name"],
+            **_dump(config.options("geometry")),
+            "fingerprint": getattr(config.plugin("geometry"), "fingerprint", ""),
+        },
+        "material": _dump(config.material),
+        "speed": config.operation.speed,
+        "fill_volume": fill_volume(config),
+    }
+    flow_options = {"name": config.flow["name"], **_dump(config.options("flow"))}
+    key = storage.content_hash(
+        inputs | {"flow": flow_options, "grid": asdict(make_grid(config))}, *_plugins(config)
+    )
+    return _Wanted(inputs, key, Store().path("flow", key))
+
+
+def _plugins(config: RunConfig) -> tuple[Any, Any]:
+    """The classes that a flow comes from."""
+    return (
+        registry.load("flow", config.flow["name"]),
+        registry.load("geometry", config.geometry["name"]),
+    )
 
 
 def make_grid(config: RunConfig) -> Grid:

@@ -14,6 +14,7 @@ from scaleup.flow_field import FlowField
 from scaleup.flow_source import obtain_flow
 from scaleup.output_folder import open_folder, publish
 from scaleup.parallel import on_root
+from scaleup.planner import record_run
 from scaleup.report import compile_report, write_report
 from scaleup.results import Results
 
@@ -42,6 +43,7 @@ def run(
         coarse = _coarse_blend(config, outcome.flow, comm, force)
         if comm.rank == 0:
             results.write_xdmf()
+            record_run(config, outcome, blend, comm.size)
             report = compile_report(config, outcome, blend, coarse, comm.size)
             write_report(work, report, results, config.plugin("geometry"))
     finally:

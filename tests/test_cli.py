@@ -277,3 +277,24 @@ def test_a_region_that_misses_the_bed_is_said(scaleup):
     )  # fmt: skip
     assert done.returncode == 2
     assert "component 1 is 0% of the bed" in done.stderr
+
+
+def test_a_plan_says_what_a_run_would_cost_and_solves_nothing(scaleup, store, tmp_path):
+    scene = ("--flow", "surface-layer", "--set", "geometry.diameter=133 mm")
+    before = set(store.iterdir())
+    plan = scaleup("plan", *scene, "--mixing", "lax-wendroff", "--set", "grid.cells=1e5")
+    assert plan.returncode == 0, plan.stderr
+    assert "2-D, because the geometry 'drum' is a cross-section" in plan.stdout
+    assert "1e+05 full ones in the bed" in plan.stdout
+    assert set(store.iterdir()) == before
+    assert list(tmp_path.iterdir()) == []
+    done = scaleup("simulate", *scene, *QUICK[2:], "--output", "run")
+    assert done.returncode == 0, done.stderr
+    plan = scaleup("plan", *scene, *QUICK[2:], "--ranks", "2")
+    lines = dict(line.split(maxsplit=2)[::2] for line in plan.stdout.splitlines() if "time" in line)
+    assert plan.stdout.count("none: it is in the store") == 1
+    assert "on 2 rank(s)" in plan.stdout
+    assert "scaled from" in plan.stdout
+    assert set(lines) == {"flow", "mixing"}
+    refused = scaleup("plan", "--geometry", "cement-mixer")
+    assert refused.returncode == 2

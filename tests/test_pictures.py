@@ -1,5 +1,7 @@
 """Fields for ParaView, and pictures: what is drawn is what was computed, turned the right way."""
 
+import csv
+import json
 import math
 import shutil
 
@@ -214,3 +216,34 @@ def test_a_run_in_3d_leaves_its_pictures(scaleup, tmp_path):
     first = stored.picture(0.0)
     assert first.fill_fraction.max() <= 1 + 1e-6
     assert (tmp_path / "run" / "report.html").read_text().count("<img") == 4
+
+
+def test_runs_are_compared_side_by_side(scaleup, tmp_path):
+    for name, k1 in (("little", "0.04"), ("much", "0.2")):
+        done = scaleup(
+            "simulate", *QUICK, "--set", f"diffusion.k1={k1}", "--set", "accuracy.estimate=false",
+            "--output", name,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    done = scaleup("compare", "little", "much", "--output", "side")
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "side" / "comparison.csv").open() as stream:
+        rows = {row[0]: row[1:] for row in csv.reader(stream)}
+    assert rows[""] == ["little", "much"]
+    assert rows["diffusion.k1"] == ["0.04", "0.2"]
+    assert not [key for key in rows if key.startswith(("geometry.", "material.", "operation."))]
+    little, much = map(float, rows["I after 0.5 rev"])
+    assert much < little
+    report = json.loads((tmp_path / "much" / "report.json").read_text())
+    assert much == pytest.approx(report["mixing"]["segregation_intensity"][-1], rel=1e-3)
+    for picture in ("curves.png", "beds.png"):
+        with Image.open(tmp_path / "side" / picture) as image:
+            assert image.size[0] > 600
+    for arguments, sentence in (
+        (("little",), "give two runs or more"),
+        (("little", "side"), "side: is not a finished run"),
+    ):
+        refused = scaleup("compare", *arguments, "--output", "other")
+        assert refused.returncode == 2
+        assert sentence in refused.stderr
+        assert not (tmp_path / "other").exists()
