@@ -21,7 +21,7 @@ from scaleup.vessel_shape import froude_number, require_resolved, symmetry
 _TRIALS = (4000.0, 16000.0)  # cells of the runs that are timed
 _TRIAL_REVOLUTIONS = 0.5
 _FAR = 4.0  # factor in cells beyond which an estimate is a guess
-_SNAPSHOT = 20.0  # bytes per active cell and snapshot of results.h5, compressed, at most
+_SNAPSHOT = 10.0  # bytes per active cell and snapshot of results.h5, compressed, at most
 
 
 def plan(config: RunConfig, ranks: int) -> Iterator[tuple[str, str]]:

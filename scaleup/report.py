@@ -290,9 +290,11 @@ def _draw(
             add("Concentration along the centre line of the bed", "centre_line.png"),
             mixing["centre_line"],
         )
+    stored = results.revolutions("pictures")
     for which in ("first", "last"):
-        frames = _pictures(results, which, FRAMES, report)
-        if len(frames) > FRAMES // 2:
+        wanted = instants(which, mixing["revolutions"][-1], FRAMES)
+        if wanted[1:2] and wanted[1] in stored:  # in steps of a frame, not of a phase
+            frames = _pictures(results, which, FRAMES, report)
             name = f"{which}_revolution.gif"
             path = add(f"The {which} revolution, played in {len(frames) / 10:.1f} s", name)
             with Reporter(f"animation of the {which} revolution", visible=True) as progress:
