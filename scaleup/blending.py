@@ -22,7 +22,7 @@ from scaleup.grid import FloatArray
 from scaleup.loading import initial_concentration
 from scaleup.metrics import Sampler, centre_line
 from scaleup.progress import Reporter
-from scaleup.storage import Results
+from scaleup.results import FRAMES, PHASES, Results, instants
 
 log = logging.getLogger("scaleup")
 
@@ -74,7 +74,9 @@ def mix(
     period = config.operation.period
     # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
     waited = flow.lift / (2 * math.pi) if config.operation.start == "level-bed" else 0.0
-    points = _curve_points(config)
+    curve = _curve_points(config)
+    pictures = _picture_points(config, flow) if results is not None else set()
+    points = sorted(curve | pictures)
     blend, first, index, local = Blend(), 0, 0, 0.0
     concentration = initial_concentration(config.operation.loading, flow)
     resumed = checkpoint is not None and checkpoint.exists()
@@ -103,11 +105,13 @@ def mix(
             interval = flow.intervals[index]
             local = min(max(local, interval.start), interval.end)  # a steady part has no end
             concentration = backend.concentration(interval)
-            if not (resumed and number == first):
+            if revolution in curve and not (resumed and number == first):
                 _measure(blend, config, flow, interval, local, revolution, concentration)
             if results is not None and root:
                 if number == 0:
                     results.create()
+                if revolution in pictures:
+                    results.add_picture(revolution, interval, local, concentration)
                 if _is_snapshot(config, revolution, number, len(points)):
                     results.add(revolution, interval, local, concentration)
                     _profile(blend, flow, interval, revolution, concentration)
@@ -164,13 +168,27 @@ def _profile(
     blend.profiles[f"{revolution:.4f}"] = [depth.tolist(), values.tolist()]
 
 
-def _curve_points(config: RunConfig) -> list[float]:
+def _curve_points(config: RunConfig) -> set[float]:
     """Revolutions at which the blend is measured: multiples of the asked steps, and the last."""
     last, every = config.operation.revolutions, config.output.metrics_every
     points = {round(n * every, 9) for n in range(math.floor(last / every + 1e-9) + 1)}
     snapshots = config.output.snapshots_every
     points |= {round(n * snapshots, 9) for n in range(math.floor(last / snapshots + 1e-9) + 1)}
-    return sorted(points | {last})
+    return points | {last}
+
+
+def _picture_points(config: RunConfig, flow: FlowField) -> set[float]:
+    """Revolutions at which pictures are taken: of the first and the last one, in equal steps.
+
+    A bed that stands still in the lab needs none but for an animation.
+    """
+    last, asked = config.operation.revolutions, config.output.animate
+    points: set[float] = set()
+    for name in ("first", "last"):
+        animated = asked in (name, "both")
+        if animated or flow.frame == "vessel":
+            points |= set(instants(name, last, FRAMES if animated else PHASES))
+    return points
 
 
 def _is_snapshot(config: RunConfig, revolution: float, number: int, count: int) -> bool:

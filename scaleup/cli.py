@@ -10,7 +10,7 @@ import sys
 import textwrap
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import click
 
 import scaleup
 from scaleup import registry
-from scaleup.config import PLUGIN_SECTIONS, compose, plugin_options
+from scaleup.config import PLUGIN_SECTIONS, RunConfig, compose, plugin_options
 from scaleup.errors import InputError, ScaleupError, file_error
 from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
 from scaleup.registry import Kind
@@ -34,38 +34,38 @@ def cli() -> None:
     """Predict how powders blend in rotating blenders."""
 
 
-@cli.command()
-@click.argument("config", required=False, type=click.Path(path_type=Path))
-@click.option("--geometry", help="Blender to use, such as drum.")
-@click.option("--flow", help="Flow model.")
-@click.option("--mixing", help="Mixing backend.")
-@click.option("--ranks", type=int, help="Number of MPI ranks.")
-@click.option("--revolutions", help="How many revolutions to blend.")
-@click.option("--tolerance", help="Wanted error of the segregation intensity.")
-@click.option(
-    "--set", "assignments", multiple=True, metavar="SECTION.KEY=VALUE", help="Set any key."
-)
-@click.option("--output", type=click.Path(path_type=Path), help="Run folder [runs/NAME-TIME].")
-@click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
-@click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
-def simulate(
+def scene_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The arguments and options that say what is run."""
+    for decorate in reversed(
+        (
+            click.argument("config", required=False, type=click.Path(path_type=Path)),
+            click.option("--geometry", help="Blender to use, such as drum."),
+            click.option("--flow", help="Flow model."),
+            click.option("--mixing", help="Mixing backend."),
+            click.option("--ranks", type=int, help="Number of MPI ranks."),
+            click.option("--revolutions", help="How many revolutions to blend."),
+            click.option("--tolerance", help="Wanted error of the segregation intensity."),
+            click.option(
+                "--set", "assignments", multiple=True, metavar="SECTION.KEY=VALUE",
+                help="Set any key.",
+            ),
+        )
+    ):  # fmt: skip
+        command = decorate(command)
+    return command
+
+
+def _scene(
     config: Path | None,
     geometry: str | None,
     flow: str | None,
     mixing: str | None,
-    ranks: int | None,
     revolutions: str | None,
     tolerance: str | None,
     assignments: Sequence[str],
-    output: Path | None,
-    overwrite: bool,
-    force: bool,
-) -> None:
-    """Blend a powder: flow, mixing, metrics and report.
-
-    CONFIG is a TOML file; --set and the flags take precedence over it.
-    """
-    check_ranks(ranks)
+    animate: bool = False,
+) -> RunConfig:
+    """The configuration that the arguments of `scene_options` make."""
     flags: dict[str, Any] = {
         section: {"name": name}
         for section, name in (("geometry", geometry), ("flow", flow), ("mixing", mixing))
@@ -75,7 +75,30 @@ def simulate(
         flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
     if tolerance is not None:
         flags["accuracy"] = {"tolerance": _number("--tolerance", tolerance)}
-    run_config = compose(config, assignments, flags)
+    if animate:
+        flags["output"] = {"animate": "first"}
+    return compose(config, assignments, flags)
+
+
+@cli.command()
+@scene_options
+@click.option("--output", type=click.Path(path_type=Path), help="Run folder [runs/NAME-TIME].")
+@click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
+@click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
+@click.option("--animate", is_flag=True, help="Animate the first revolution (GIF).")
+def simulate(
+    ranks: int | None,
+    output: Path | None,
+    overwrite: bool,
+    force: bool,
+    **scene: Any,
+) -> None:
+    """Blend a powder: flow, mixing, metrics and report.
+
+    CONFIG is a TOML file; --set and the flags take precedence over it.
+    """
+    check_ranks(ranks)
+    run_config = _scene(**scene)
     folder = (
         output or Path("runs") / f"{run_config.geometry['name']}-{time.strftime('%Y%m%d-%H%M%S')}"
     )
@@ -92,6 +115,23 @@ def simulate(
 
 
 @cli.command()
+@scene_options
+@click.option("--measure", is_flag=True, help="Time the scene on small grids first.")
+def plan(ranks: int | None, measure: bool, **scene: Any) -> None:
+    """Say what a run would model, why, and what it would cost; takes what simulate takes."""
+    check_ranks(ranks)
+    run_config = _scene(**scene)
+    from scaleup import parallel, planner
+
+    if measure:
+        comm = parallel.start()
+        _log_to_terminal(comm.rank == 0)
+        planner.measure(run_config, comm)
+    for what, how in planner.plan(run_config, ranks or 1):
+        click.echo(f"{what:20s} {how}")
+
+
+@cli.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--ranks", type=int, help="Number of MPI ranks.")
 @click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
@@ -105,6 +145,36 @@ def resume(folder: Path, ranks: int | None, force: bool) -> None:
     config = compose(work_folder(folder) / "config.toml")
     relaunch_if_needed(ranks)
     _run(config, folder, overwrite=True, resume=True, force=force)
+
+
+@cli.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+def report(folder: Path) -> None:
+    """Make the figures and report.html of a finished run again; FOLDER is what --output was."""
+    from scaleup.report import redraw
+
+    _log_to_terminal(True)
+    redraw(folder)
+    click.echo(f"report               {folder / 'report.html'}")
+
+
+@cli.command()
+@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("comparison"),
+    show_default=True,
+    help="Folder for CSV and PNG.",
+)
+def compare(folders: Sequence[Path], output: Path) -> None:
+    """Put finished runs side by side: where they differ, and what came of it."""
+    if len(folders) < 2:
+        raise InputError(f"{folders[0]}: give two runs or more to compare")
+    from scaleup import comparison
+
+    click.echo(comparison.compare(folders, output))
+    click.echo(f"\n{output / 'comparison.csv'}, curves.png, beds.png")
 
 
 @cli.command()

@@ -12,7 +12,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
@@ -70,6 +70,8 @@ class Output(Model):
     """revolutions between points of the blend curve"""
     snapshots_every: Annotated[float, Field(ge=1e-3)] = 0.5
     """revolutions between stored concentration fields"""
+    animate: Literal["no", "first", "last", "both"] = "no"
+    """which revolution becomes an animation (GIF): 32 pictures of it are then stored, not 8"""
     checkpoint_every: units.Pause = 20.0
     """s of wall-clock time between checkpoints, at points of the blend curve"""
 

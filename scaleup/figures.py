@@ -16,44 +16,40 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import map_coordinates
 
-from scaleup.flow_field import FlowField
 from scaleup.grid import FloatArray, Grid
 
 _MM = 1e3
 
 
-def snapshots(
-    path: Path, grid: Grid, fields: Sequence[tuple[float, Mapping[str, FloatArray]]]
-) -> None:
-    """Concentration of the first component at up to six revolutions (the paper's Fig. 14)."""
-    chosen = [fields[i] for i in np.unique(np.linspace(0, len(fields) - 1, 6).round().astype(int))]
-    columns = min(3, len(chosen))
-    rows = math.ceil(len(chosen) / columns)
+def snapshots(path: Path, grid: Grid, fields: Sequence[tuple[float, FloatArray]]) -> None:
+    """Concentration of the first component of a cross-section, at some revolutions (Fig. 14)."""
+    columns = min(3, len(fields))
+    rows = math.ceil(len(fields) / columns)
     figure, axes = plt.subplots(
         rows, columns, figsize=(3.6 * columns, 2.9 * rows), squeeze=False, layout="constrained"
     )
     image: Any = None
-    for axis, (revolution, values) in zip(axes.flat, chosen, strict=False):
-        image = _map(axis, grid, values["concentration_1"], cmap="viridis", vmin=0, vmax=1)
+    for axis, (revolution, values) in zip(axes.flat, fields, strict=False):
+        image = _map(axis, grid, values, cmap="viridis", vmin=0, vmax=1)
         axis.set_title(f"{revolution:.2f} revolutions", fontsize=10)
-    for axis in axes.flat[len(chosen) :]:
+    for axis in axes.flat[len(fields) :]:
         axis.axis("off")
     figure.colorbar(image, ax=axes, label="concentration of component 1", shrink=0.8)
-    _save(figure, path)
+    save(figure, path)
 
 
-def speed_map(path: Path, flow: FlowField) -> None:
-    """Speed of the powder (the paper's Fig. 11)."""
-    interval = flow.intervals[len(flow.intervals) - 1]
-    velocity = interval.velocity(flow.grid)
-    speed = np.full(flow.grid.cells, np.nan)
-    speed[interval.cells] = np.linalg.norm(velocity, axis=0)
+def speed_map(path: Path, grid: Grid, velocity: FloatArray) -> None:
+    """Speed of the powder in a cross-section in the lab (the paper's Fig. 11).
+
+    velocity -- m/s, (2, *grid.shape), NaN without bed
+    """
+    speed = np.linalg.norm(velocity, axis=0)
     figure, axis = plt.subplots(figsize=(6, 4.4), layout="constrained")
     top = float(np.nanpercentile(speed, 99.9))
-    image = _map(axis, flow.grid, speed.reshape(flow.grid.shape), cmap="turbo", vmin=0, vmax=top)
-    axis.set_title(f"speed in the {flow.frame} frame", fontsize=10)
+    image = _map(axis, grid, speed, cmap="turbo", vmin=0, vmax=top)
+    axis.set_title("speed in the lab frame", fontsize=10)
     figure.colorbar(image, ax=axis, label="speed, m/s")
-    _save(figure, path)
+    save(figure, path)
 
 
 def stability(path: Path, name: str, boundaries: Sequence[Any]) -> None:
@@ -90,17 +86,14 @@ def stability(path: Path, name: str, boundaries: Sequence[Any]) -> None:
     axes.flat[0].set_ylabel("cell diffusion number D dt/h$^2$")
     axes.flat[0].legend(fontsize=7)
     figure.suptitle(f"stability of {name}", fontsize=11)
-    _save(figure, path)
+    save(figure, path)
 
 
-def velocity_profiles(path: Path, flow: FlowField, angle: float) -> None:
+def velocity_profiles(path: Path, grid: Grid, velocity: FloatArray, angle: float) -> None:
     """Velocity along the free surface and along the mid-bed normal (the paper's Fig. 12).
 
-    angle -- rad, of the surface; for a plane lab-frame flow
+    velocity -- m/s in the lab, (2, *grid.shape), NaN without bed; angle -- rad, of the surface
     """
-    grid, interval = flow.grid, flow.intervals[len(flow.intervals) - 1]
-    velocity = np.full((2, grid.cells), np.nan)
-    velocity[:, interval.cells] = interval.velocity(grid)
     down = -np.array([math.cos(angle), math.sin(angle)])
     normal = np.array([-math.sin(angle), math.cos(angle)])
     reach = float(np.abs(np.array(grid.lower)).max())
@@ -123,7 +116,7 @@ def velocity_profiles(path: Path, flow: FlowField, angle: float) -> None:
     right.axvline(0, color="0.7", lw=0.8)
     right.invert_yaxis()
     right.set(xlabel="streamwise velocity at mid-bed, m/s", ylabel="depth, mm")
-    _save(figure, path)
+    save(figure, path)
 
 
 def blend_curve(
@@ -149,7 +142,25 @@ def blend_curve(
     axis.set_ylim(bottom=0)
     axis.grid(alpha=0.3)
     axis.legend()
-    _save(figure, path)
+    save(figure, path)
+
+
+def blend_curves(path: Path, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
+    """Blend curves of several runs: segregation intensity and relative standard deviation.
+
+    runs -- (name, the section `mixing` of report.json)
+    """
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    for name, mixing in runs:
+        axes[0].plot(mixing["revolutions"], mixing["segregation_intensity"], label=name)
+        axes[1].plot(mixing["revolutions"], mixing["rsd"], label=name)
+    axes[0].set(ylabel="segregation intensity I over nodes", ylim=(0, None))
+    axes[1].set(ylabel="relative standard deviation at scrutiny", yscale="log")
+    for axis in axes:
+        axis.set_xlabel("revolutions")
+        axis.grid(alpha=0.3, which="both")
+    axes[0].legend(fontsize=9)
+    save(figure, path)
 
 
 def centre_profiles(path: Path, profiles: Mapping[str, Sequence[Sequence[float]]]) -> None:
@@ -167,7 +178,7 @@ def centre_profiles(path: Path, profiles: Mapping[str, Sequence[Sequence[float]]
     )
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _interpolated(grid: Grid, values: FloatArray, points: FloatArray) -> FloatArray:
@@ -186,8 +197,6 @@ def _interpolated(grid: Grid, values: FloatArray, points: FloatArray) -> FloatAr
 
 
 def _map(axis: Axes, grid: Grid, values: FloatArray, **style: Any) -> Any:
-    if values.ndim == 3:  # a section through the middle of the vessel
-        values = values[values.shape[0] // 2]
     low, spacing = grid.lower, grid.spacing
     extent = (
         _MM * low[0],
@@ -204,6 +213,7 @@ def _map(axis: Axes, grid: Grid, values: FloatArray, **style: Any) -> Any:
     return image
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure to a PNG file and let it go."""
     figure.savefig(path, dpi=110, metadata={"Software": "scaleup"})
     plt.close(figure)

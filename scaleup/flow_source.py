@@ -6,6 +6,7 @@ import logging
 import time
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from scaleup import registry, storage
@@ -31,13 +32,50 @@ class FlowOutcome:
     key: str
 
 
+@dataclass(frozen=True)
+class _Wanted:
+    """A flow that a run needs: its inputs but for the grid, and where it is kept."""
+
+    inputs: dict[str, Any]
+    key: str
+    path: Path
+
+
+def stored_flow(config: RunConfig) -> Path:
+    """Where the store keeps the flow of a run, once it is solved."""
+    return _wanted(config).path
+
+
 def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     """The FlowField of a run, from the store or solved and stored; collective."""
-    store = Store()
-    grid = make_grid(config)
-    flow_plugin = registry.load("flow", config.flow["name"])
-    geometry_plugin = registry.load("geometry", config.geometry["name"])
-    scene_inputs = {
+    store, wanted, grid = Store(), _wanted(config), make_grid(config)
+    path = wanted.path
+
+    if on_root(comm, path.exists):
+        log.info("flow: reused from the store (%s)", path.name)
+        return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), 0.0, True, wanted.key)
+    began = time.monotonic()
+    scene = Scene(
+        geometry=config.plugin("geometry"),
+        material=config.material,
+        speed=config.operation.speed,
+        fill_volume=fill_volume(config),
+        grid=grid,
+        inputs=wanted.inputs,
+    )
+    with Reporter("flow", visible=comm.rank == 0) as progress:
+        memory = store.memory_of(*_plugins(config))
+        flow = config.plugin("flow").solve(scene, comm, progress, memory)
+    check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
+    storage.write_flow(path, flow, comm)
+    del flow
+    seconds = time.monotonic() - began
+    log.info("flow: solved in %.1f s and stored (%s)", seconds, path.name)
+    return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), seconds, False, wanted.key)
+
+
+def _wanted(config: RunConfig) -> _Wanted:
+    inputs = {
         "geometry": {
             "name": config.geometry["name"],
             **_dump(config.options("geometry")),
@@ -49,31 +87,17 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     }
     flow_options = {"name": config.flow["name"], **_dump(config.options("flow"))}
     key = storage.content_hash(
-        scene_inputs | {"flow": flow_options, "grid": asdict(grid)}, flow_plugin, geometry_plugin
+        inputs | {"flow": flow_options, "grid": asdict(make_grid(config))}, *_plugins(config)
     )
-    path = store.path("flow", key)
+    return _Wanted(inputs, key, Store().path("flow", key))
 
-    if on_root(comm, path.exists):
-        log.info("flow: reused from the store (%s)", path.name)
-        return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), 0.0, True, key)
-    began = time.monotonic()
-    scene = Scene(
-        geometry=config.plugin("geometry"),
-        material=config.material,
-        speed=config.operation.speed,
-        fill_volume=fill_volume(config),
-        grid=grid,
-        inputs=scene_inputs,
+
+def _plugins(config: RunConfig) -> tuple[Any, Any]:
+    """The classes that a flow comes from."""
+    return (
+        registry.load("flow", config.flow["name"]),
+        registry.load("geometry", config.geometry["name"]),
     )
-    with Reporter("flow", visible=comm.rank == 0) as progress:
-        memory = store.memory_of(flow_plugin, geometry_plugin)
-        flow = config.plugin("flow").solve(scene, comm, progress, memory)
-    check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
-    storage.write_flow(path, flow, comm)
-    del flow
-    seconds = time.monotonic() - began
-    log.info("flow: solved in %.1f s and stored (%s)", seconds, path.name)
-    return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), seconds, False, key)
 
 
 def make_grid(config: RunConfig) -> Grid:

@@ -84,7 +84,7 @@ def _from_results(file: Path, dimension: int) -> tuple[FloatArray, list[FloatArr
     ]
     mesh = np.meshgrid(*reversed(lines), indexing="ij")
     points = np.stack([axis.ravel() for axis in reversed(mesh)], axis=-1)
-    return points, [values.ravel() for values in fields]
+    return points, [values.ravel().astype(float) for values in fields]
 
 
 def _from_meshio(file: Path, dimension: int) -> tuple[FloatArray, list[FloatArray]]:

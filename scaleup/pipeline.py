@@ -14,8 +14,9 @@ from scaleup.flow_field import FlowField
 from scaleup.flow_source import obtain_flow
 from scaleup.output_folder import open_folder, publish
 from scaleup.parallel import on_root
-from scaleup.report import write_report
-from scaleup.storage import Results
+from scaleup.planner import record_run
+from scaleup.report import compile_report, write_report
+from scaleup.results import Results
 
 log = logging.getLogger("scaleup")
 
@@ -36,13 +37,15 @@ def run(
     try:
         log.info("scaleup on %d rank(s); %s", comm.size, _describe(config))
         outcome = obtain_flow(config, comm)
-        results = Results(work, outcome.flow.grid, config.operation.period)
+        results = Results.of(work, outcome.flow)
         kept = work / "checkpoint.h5"
         blend = mix(config, outcome.flow, comm, results=results, checkpoint=kept, force=force)
         coarse = _coarse_blend(config, outcome.flow, comm, force)
         if comm.rank == 0:
             results.write_xdmf()
-            write_report(work, config, outcome, blend, coarse, results, comm.size)
+            record_run(config, outcome, blend, comm.size)
+            report = compile_report(config, outcome, blend, coarse, comm.size)
+            write_report(work, report, results, config.plugin("geometry"))
     finally:
         if handler is not None:
             log.removeHandler(handler)

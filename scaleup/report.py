@@ -7,21 +7,25 @@ import json
 import math
 import os
 import platform
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jinja2
 import numpy as np
 
 import scaleup
-from scaleup import figures
+from scaleup import bed_figures, figures
+from scaleup.bed_view import Picture, Wall, wall_of
 from scaleup.blending import Blend
-from scaleup.config import RunConfig, fill_in_all_kinds
+from scaleup.config import RunConfig, compose, fill_in_all_kinds
+from scaleup.errors import InputError
 from scaleup.files import write_text
 from scaleup.flow_source import FlowOutcome
 from scaleup.metrics import blend_time, decay_rate
-from scaleup.storage import Results
+from scaleup.progress import Reporter
+from scaleup.results import FRAMES, PHASES, Results, instants
 from scaleup.vessel_shape import froude_number
 
 SCHEMA = "scaleup-report/1"
@@ -33,27 +37,38 @@ _FLOW_KEYS = (
     "flux_midbed",
     "volume_drift",
 )
+_UNITS = {
+    "surface_speed_max": "m/s",
+    "active_layer_thickness": "m",
+    "flux_midbed": "m^2/s",
+    "shear_rate": "1/s",
+    "spacing": "m",
+    "mass": "kg",
+}
+_LONG = 12  # values of a list that a table still shows
 _OVERSHOOT, _MASS_DRIFT, _CELLS_PER_LAYER = 0.05, 2e-3, 10
 _LIBRARIES = ("numpy", "mpi4py", "petsc4py", "ngsolve", "h5py", "numba", "pydantic")
 
 
-def write_report(
-    folder: Path,
-    config: RunConfig,
-    outcome: FlowOutcome,
-    blend: Blend,
-    coarse: Blend | str,
-    results: Results,
-    ranks: int,
-) -> None:
+def write_report(folder: Path, report: dict[str, Any], results: Results, geometry: Any) -> None:
     """Write figures/, report.html and, last, report.json; called on the root.
 
-    `coarse` is the blend on cells twice as large, or why there is none.
+    report -- of `compile_report`, or as read again from report.json; all else is drawn from results
     """
-    report = compile_report(config, outcome, blend, coarse, ranks)
-    pictures = _draw(folder / "figures", outcome, blend, coarse, results)
+    report = _finite(report)
+    pictures = _draw(folder / "figures", report, results, geometry)
     write_text(folder / "report.html", _html(report, pictures))
-    write_text(folder / "report.json", json.dumps(_finite(report), indent=2) + "\n")
+    write_text(folder / "report.json", json.dumps(report, indent=2) + "\n")
+
+
+def redraw(folder: Path) -> None:
+    """Make figures/ and report.html of a finished run again. Raises InputError if it is none."""
+    results = Results.open(folder)
+    try:
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{folder}: is not a finished run (report.json: {error})") from error
+    write_report(folder, report, results, compose(folder / "config.toml").plugin("geometry"))
 
 
 def compile_report(
@@ -167,7 +182,15 @@ def _reasons(config: RunConfig, outcome: FlowOutcome) -> list[str]:
     reasons = []
     if flow.grid.dimension == 2:
         reasons.append(f"2-D: the geometry {config.geometry['name']!r} is a cross-section")
-    if flow.steady:
+    else:
+        reasons.append(f"3-D: the geometry {config.geometry['name']!r} is a vessel in space")
+    if flow.frame == "vessel":
+        turns = (flow.times[flow.prefix] - flow.times[0]) / config.operation.period
+        reasons.append(
+            "periodic, in the frame of the vessel: the resting part of the bed is not smeared; one "
+            f"revolution is repeated after a start-up of {turns:.2f}"
+        )
+    elif flow.steady:
         reasons.append("steady: the bed stands still in the lab frame once it flows")
     reasons.append(f"flow {config.flow['name']!r} and mixing {config.mixing['name']!r} as asked")
     if outcome.reused:
@@ -195,6 +218,7 @@ def _error_estimate(
     worst = max(_band(blend, coarse))
     return estimate | {
         "segregation_intensity": worst,
+        "segregation_intensity_by_point": _band(blend, coarse),
         "within_tolerance": worst <= config.accuracy.tolerance,
     }
 
@@ -237,37 +261,101 @@ def _band(blend: Blend, coarse: Blend) -> list[float]:
 
 
 def _draw(
-    folder: Path, outcome: FlowOutcome, blend: Blend, coarse: Blend | str, results: Results
+    folder: Path, report: dict[str, Any], results: Results, geometry: Any
 ) -> list[tuple[str, Path]]:
+    """Draw all figures of a run; returns (caption, file)."""
     folder.mkdir(exist_ok=True)
-    flow = outcome.flow
     drawn = []
 
     def add(caption: str, name: str) -> Path:
-        drawn.append((caption, folder / f"{name}.png"))
-        return folder / f"{name}.png"
+        drawn.append((caption, folder / name))
+        return folder / name
 
-    stored = results.snapshots()
-    figures.snapshots(add("Concentration as the vessel turns", "snapshots"), flow.grid, stored)
+    mixing = report["mixing"]
+    in_lab = results.motion.frame == "lab" and results.grid.dimension == 2
+    if in_lab:
+        _draw_in_lab(add, report, results)
+    else:
+        _draw_turning(add, report, results, wall_of(geometry))
     figures.blend_curve(
-        add("Segregation intensity against revolutions", "blend_curve"),
-        blend.revolutions,
-        {"over nodes": blend.intensity, "at the scale of scrutiny": blend.intensity_sample},
-        None if isinstance(coarse, str) else _band(blend, coarse),
+        add("Segregation intensity against revolutions", "blend_curve.png"),
+        mixing["revolutions"],
+        {
+            "over nodes": mixing["segregation_intensity"],
+            "at the scale of scrutiny": mixing["segregation_intensity_at_scrutiny"],
+        },
+        report["error_estimate"].get("segregation_intensity_by_point"),
     )
-    figures.speed_map(add("Speed of the powder", "speed"), flow)
-    angle = flow.summary.get("surface_angle_deg")
-    if flow.frame == "lab" and flow.grid.dimension == 2 and isinstance(angle, float):
+    if mixing["centre_line"]:
+        figures.centre_profiles(
+            add("Concentration along the centre line of the bed", "centre_line.png"),
+            mixing["centre_line"],
+        )
+    stored = results.revolutions("pictures")
+    for which in ("first", "last"):
+        wanted = instants(which, mixing["revolutions"][-1], FRAMES)
+        if wanted[1:2] and wanted[1] in stored:  # in steps of a frame, not of a phase
+            frames = _pictures(results, which, FRAMES, report)
+            name = f"{which}_revolution.gif"
+            path = add(f"The {which} revolution, played in {len(frames) / 10:.1f} s", name)
+            with Reporter(f"animation of the {which} revolution", visible=True) as progress:
+                bed_figures.animation(path, frames, wall_of(geometry), progress)
+    return drawn
+
+
+def _draw_in_lab(add: Callable[[str, str], Path], report: dict[str, Any], results: Results) -> None:
+    """A cross-section that stands still in the lab."""
+    grid, stored = results.grid, results.revolutions()
+    shown = [stored[i] for i in np.unique(np.linspace(0, len(stored) - 1, 6).round().astype(int))]
+    fields = [(at, results.snapshot(at)["concentration_1"].astype(float)) for at in shown]
+    figures.snapshots(add("Concentration as the vessel turns", "snapshots.png"), grid, fields)
+    last = results.snapshot(stored[-1])
+    velocity = np.stack([last[f"velocity_{axis}"] for axis in "xy"]).astype(float)
+    figures.speed_map(add("Speed of the powder", "speed.png"), grid, velocity)
+    angle = report["flow"]["surface_angle_deg"]
+    if isinstance(angle, float):
         figures.velocity_profiles(
-            add("Velocity along the surface and at mid-bed", "velocity_profiles"),
-            flow,
+            add("Velocity along the surface and at mid-bed", "velocity_profiles.png"),
+            grid,
+            velocity,
             math.radians(angle),
         )
-    if blend.profiles:
-        figures.centre_profiles(
-            add("Concentration along the centre line of the bed", "centre_line"), blend.profiles
-        )
-    return drawn
+
+
+def _draw_turning(
+    add: Callable[[str, str], Path], report: dict[str, Any], results: Results, wall: Wall
+) -> None:
+    """A bed whose fields are kept in the frame of its vessel."""
+    of_component = "coloured by the concentration of component 1"
+    for which in ("first", "last"):
+        pictures = _pictures(results, which, PHASES, report)
+        if pictures:
+            path = add(f"The bed in the {which} revolution, {of_component}", f"bed_{which}.png")
+            bed_figures.phases(path, pictures, wall)
+    stored = results.revolutions()
+    chosen = [stored[i] for i in np.unique(np.linspace(0, len(stored) - 1, 4).round().astype(int))]
+    bed_figures.cuts(
+        add("The bed cut open", "snapshots.png"),
+        [results.picture(at, "snapshots") for at in chosen],
+        wall,
+    )
+    last = results.snapshot(stored[-1])
+    speed = np.sqrt(sum(v.astype(float) ** 2 for k, v in last.items() if k.startswith("velocity")))
+    bed_figures.speed_cuts(
+        add("Speed of the powder relative to the vessel", "speed.png"),
+        results.picture(stored[-1], "snapshots"),
+        speed,
+        wall,
+    )
+
+
+def _pictures(
+    results: Results, which: Literal["first", "last"], count: int, report: dict[str, Any]
+) -> list[Picture]:
+    """Those pictures of a revolution that were stored, without the end that repeats the phase."""
+    stored = set(results.revolutions("pictures"))
+    wanted = instants(which, report["mixing"]["revolutions"][-1], count)
+    return [results.picture(at) for at in wanted[:count] if at in stored]
 
 
 def _html(report: dict[str, Any], pictures: list[tuple[str, Path]]) -> str:
@@ -275,15 +363,29 @@ def _html(report: dict[str, Any], pictures: list[tuple[str, Path]]) -> str:
         loader=jinja2.PackageLoader("scaleup", "templates"), autoescape=True
     )
     environment.filters["figure"] = _shown
+    environment.filters["label"] = _label
     embedded = [
-        (caption, base64.b64encode(path.read_bytes()).decode()) for caption, path in pictures
+        (caption, path.suffix[1:], base64.b64encode(path.read_bytes()).decode())
+        for caption, path in pictures
     ]
     return environment.get_template("report.html").render(report=report, pictures=embedded)
 
 
+def _label(key: str) -> str:
+    """A key in words, with its unit."""
+    unit = _UNITS.get(key)
+    return key.replace("_", " ") + (f", {unit}" if unit else "")
+
+
 def _shown(value: Any) -> str:
+    if value is None:
+        return "not given"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.4g}"
+    if isinstance(value, list | tuple) and len(value) > _LONG:
+        return f"{len(value)} values, in report.json"
     if isinstance(value, list | tuple):
         return ", ".join(_shown(item) for item in value)
     return str(value)

@@ -1,9 +1,8 @@
-"""Files: stored flows, checkpoints, results and their ParaView description.
+"""Files: stored flows and checkpoints.
 
-HDF5 is written by the root, a flow by all ranks; flows and checkpoints through a temporary name, so
-that a reader, or a run that is killed, never meets half a file; `results.h5` grows by a snapshot at
-a time inside the work folder, and is published with it when the run is complete. Datasets carry
-their SI unit, files their `format_version`.
+HDF5 is written by the root, a flow by all ranks, through a temporary name, so that a reader, or a
+run that is killed, never meets half a file. Datasets carry their SI unit, files their
+`format_version`.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from numpy.typing import NDArray
 import scaleup
 from scaleup.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
 from scaleup.errors import InputError, RunError
-from scaleup.files import replacing, temporary_name, write_text
-from scaleup.flow_field import Axis, FlowField, Interval
+from scaleup.files import replacing, temporary_name
+from scaleup.flow_field import Axis, FlowField
 from scaleup.grid import FloatArray, Grid, IntArray
 from scaleup.parallel import on_each, on_root
 
@@ -155,7 +154,7 @@ def write_flow(path: Path, flow: FlowField | None, comm: Any) -> None:
     try:
         with _shared_file(temporary, comm) as file:
             file.attrs.update(header["attributes"])
-            _write_grid(file, header["grid"])
+            write_grid(file, header["grid"])
             file.create_dataset("times", data=header["times"]).attrs["unit"] = "s"
             file.create_dataset("intervals/first", data=starts[:, 0])
             file.create_dataset("intervals/first_run", data=starts[:, 1])
@@ -242,7 +241,7 @@ def read_flow(path: Path) -> FlowField:
             raise RunError(f"{path} is of another format version; delete it and solve again")
         times = np.asarray(file["times"])
         capacity = np.asarray(file["capacity"]) if "capacity" in file else None
-        grid = _read_grid(file)
+        grid = read_grid(file)
         parts: Sequence[CompactInterval] = _StoredParts(path, times, file["intervals"])
         if file.attrs["mirrored"]:
             parts = MirroredParts(parts, grid.counts)
@@ -289,96 +288,6 @@ class _StoredParts(Sequence[CompactInterval]):
         return CompactInterval(float(self._times[index]), float(self._times[index + 1]), **arrays)
 
 
-class Results:
-    """`results.h5`: concentration fields over time, and `results.xdmf`, which ParaView opens."""
-
-    def __init__(self, folder: Path, grid: Grid, period: float):
-        self._path = folder / "results.h5"
-        self._xdmf = folder / "results.xdmf"
-        self._grid, self._period = grid, period
-
-    def create(self) -> None:
-        """Begin an empty file."""
-        with replacing(self._path) as temporary, h5py.File(temporary, "w") as file:
-            file.attrs["format_version"] = FORMAT_VERSION
-            _write_grid(file, self._grid)
-            file.create_group("snapshots")
-
-    def add(
-        self, revolution: float, interval: Interval, time: float, concentration: FloatArray
-    ) -> None:
-        """Append the fields at one time; cells without material hold NaN."""
-        dense = {"fill_fraction": interval.fill(time) / self._grid.cell_volume}
-        dense |= {f"concentration_{k + 1}": c for k, c in enumerate(concentration)}
-        for axis, component in enumerate(interval.velocity(self._grid)):
-            dense["velocity_" + "xyz"[axis]] = component
-        with h5py.File(self._path, "a") as file:
-            name = f"snapshots/{revolution:012.6f}"
-            if name in file:  # a resumed run repeats the last snapshot before its checkpoint
-                del file[name]
-            group = file.create_group(name)
-            group.attrs["revolution"] = revolution
-            for field, values in dense.items():
-                whole = np.full(self._grid.cells, np.nan)
-                whole[interval.cells] = values
-                data = group.create_dataset(
-                    field, data=whole.reshape(self._grid.shape), compression="gzip", shuffle=True
-                )
-                data.attrs["unit"] = "m/s" if field.startswith("velocity") else "1"
-
-    def snapshots(self) -> list[tuple[float, dict[str, FloatArray]]]:
-        """All stored (revolution, fields by name)."""
-        with h5py.File(self._path, "r") as file:
-            return [
-                (
-                    float(group.attrs["revolution"]),
-                    {name: np.asarray(data) for name, data in group.items()},
-                )
-                for group in file["snapshots"].values()
-            ]
-
-    def write_xdmf(self) -> None:
-        """Describe the snapshots as a time series (s) of a uniform grid."""
-        grid = self._grid
-        kind, origin = (
-            ("2DCoRectMesh", "ORIGIN_DXDY")
-            if grid.dimension == 2
-            else (
-                "3DCoRectMesh",
-                "ORIGIN_DXDYDZ",
-            )
-        )
-        nodes = " ".join(str(n + 1) for n in grid.shape)
-        shape = " ".join(str(n) for n in grid.shape)
-        lower = " ".join(repr(x) for x in reversed(grid.lower))
-        spacing = " ".join(repr(h) for h in reversed(grid.spacing))
-        parts = []
-        with h5py.File(self._path, "r") as file:
-            for name, group in file["snapshots"].items():
-                attributes = "".join(
-                    f'<Attribute Name="{field}" AttributeType="Scalar" Center="Cell">'
-                    f'<DataItem Dimensions="{shape}" NumberType="Float" Precision="8" '
-                    f'Format="HDF">results.h5:/snapshots/{name}/{field}</DataItem></Attribute>'
-                    for field in group
-                )
-                time = float(group.attrs["revolution"]) * self._period
-                parts.append(
-                    f'<Grid Name="bed" GridType="Uniform"><Time Value="{time!r}"/>'
-                    f'<Topology TopologyType="{kind}" Dimensions="{nodes}"/>'
-                    f'<Geometry GeometryType="{origin}">'
-                    f'<DataItem Dimensions="{grid.dimension}" Format="XML">{lower}</DataItem>'
-                    f'<DataItem Dimensions="{grid.dimension}" Format="XML">{spacing}</DataItem>'
-                    f"</Geometry>{attributes}</Grid>"
-                )
-        write_text(
-            self._xdmf,
-            '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>'
-            '<Grid Name="blend" GridType="Collection" CollectionType="Temporal">\n'
-            + "\n".join(parts)
-            + "\n</Grid></Domain></Xdmf>\n",
-        )
-
-
 def write_checkpoint(path: Path, arrays: Mapping[str, Any], state: Mapping[str, Any]) -> None:
     """Store arrays and a JSON-like state; replaces the previous checkpoint at once."""
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
@@ -396,14 +305,16 @@ def read_checkpoint(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         )
 
 
-def _write_grid(file: Any, grid: Grid) -> None:
+def write_grid(file: Any, grid: Grid) -> None:
+    """Describe a grid in an HDF5 file or group."""
     group = file.create_group("grid")
     group.attrs["lower"], group.attrs["spacing"] = grid.lower, grid.spacing
     group.attrs["counts"], group.attrs["depth"] = grid.counts, grid.depth
     group.attrs["unit"] = "m"
 
 
-def _read_grid(file: Any) -> Grid:
+def read_grid(file: Any) -> Grid:
+    """The grid that an HDF5 file or group describes."""
     attributes = file["grid"].attrs
     return Grid(
         lower=tuple(float(x) for x in attributes["lower"]),

@@ -15,6 +15,7 @@ from scaleup.grid import FloatArray, Grid, grid_over
 from scaleup.vessel_shape import axis_meets, symmetry
 
 _ROUND_OFF = 1e-12
+_CENTRE = 3e-3  # of the reach: how far apart the centres of one body may be
 
 
 def check_geometry(geometry: Any) -> None:
@@ -35,7 +36,7 @@ def geometry_checks(geometry: Any) -> list[tuple[str, Callable[[], None]]]:
         ("reach is the greatest distance from the axis", sampled.check_reach),
         ("the axis passes through the inside", sampled.check_axis),
         ("the mirror planes mirror the vessel", sampled.check_symmetry),
-        ("the solid has the same volume to 0.1 %", sampled.check_solid),
+        ("the solid has the same volume, to 0.1 %, and centre", sampled.check_solid),
     ]
 
 
@@ -164,12 +165,21 @@ class _SampledGeometry:
     def check_solid(self) -> None:
         geometry = self._geometry
         try:
-            volume = float(geometry.solid().mass) * geometry.depth
+            solid = geometry.solid()
         except InputError:
             return
+        volume = float(solid.mass) * geometry.depth
         if abs(volume / geometry.volume - 1) > 1e-3:
             raise ContractError(
                 f"volume = {geometry.volume:.6g} m^3, but the solid's is {volume:.6g} m^3"
+            )
+        fill = self._fill.ravel()
+        centre = (fill / fill.sum()) @ self._grid.centre_points()
+        stated = np.array([solid.center.x, solid.center.y, solid.center.z])[: geometry.dimension]
+        if np.abs(centre - stated).max() > _CENTRE * geometry.reach:
+            raise ContractError(
+                f"the solid's centre of volume is at {_point(stated)} m, but that of the inside by "
+                f"signed_distance at {_point(centre)} m"
             )
 
 
@@ -196,3 +206,7 @@ def check_mixing(backend: Any, scene: Any, concentration: Any, duration: float) 
     spread = float(np.abs(result - 1.0 / len(concentration)).max())
     if spread > _ROUND_OFF:
         raise ContractError(f"a uniform concentration changed by {spread:.2g}")
+
+
+def _point(coordinates: FloatArray) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in coordinates) + ")"

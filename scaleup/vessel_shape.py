@@ -23,8 +23,9 @@ def require_vessel(name: str, geometry: Any) -> None:
     least, most = _REACH
     if not least <= geometry.reach <= most:
         raise InputError(
-            f"geometry.name = {name!r}: the vessel reaches {geometry.reach:.4g} m from its axis, "
-            f"but must reach {least:g} to {most:g} m; check the unit of its dimensions"
+            f"geometry.name = {name!r}: the vessel reaches {geometry.reach:.4g} m from its axis "
+            f"and holds {geometry.volume:.3g} m^3, but must reach {least:g} to {most:g} m; check "
+            "the unit of its dimensions"
         )
     if not axis_meets(geometry):
         raise InputError(

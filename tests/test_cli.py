@@ -6,10 +6,8 @@ import signal
 import subprocess
 import sys
 import time
-import xml.etree.ElementTree as ET
 
 import h5py
-import numpy as np
 import pytest
 
 QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=1 mm", "--revolutions", "0.5")
@@ -70,22 +68,6 @@ def test_a_run_folder_is_complete_and_its_report_has_every_key(scaleup, tmp_path
     assert repeat.returncode == 0, repeat.stderr
     same = json.loads((tmp_path / "repeat" / "report.json").read_text())
     assert same["mixing"] == mixing
-
-
-def test_xdmf_describes_what_the_hdf5_file_holds(scaleup, tmp_path):
-    scaleup("simulate", *QUICK, "--output", "run")
-    tree = ET.parse(tmp_path / "run" / "results.xdmf")
-    grids = tree.findall(".//Grid[@GridType='Uniform']")
-    assert [float(g.find("Time").get("Value")) for g in grids] == [0.0, 5.0]
-    item = grids[-1].find("Attribute[@Name='concentration_1']/DataItem")
-    file, _, path = item.text.partition(":")
-    with h5py.File(tmp_path / "run" / file, "r") as data:
-        field = np.asarray(data[path])
-        assert data[path].attrs["unit"] == "1"
-    assert list(field.shape) == [int(n) for n in item.get("Dimensions").split()]
-    assert 0.45 < np.nanmean(field) < 0.55
-    topology = grids[-1].find("Topology").get("Dimensions").split()
-    assert [int(n) - 1 for n in topology] == list(field.shape)
 
 
 def _is_under_way(checkpoint):
@@ -180,6 +162,18 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
         (["missing.toml"], "the configuration missing.toml cannot be read: No such file"),
         (["broken.toml"], "the configuration broken.toml is not TOML"),
         (["--colour", "red"], "No such option"),
+        (
+            ["--geometry", "tote", "--set", "geometry.axis_height=5 m"],
+            "geometry.name = 'tote': the axis of rotation misses the vessel",
+        ),
+        (
+            ["--geometry", "v-blender", "--set", "operation.fill.mass=1 t"],
+            "operation.fill.mass = 1000 kg: the vessel holds 11.6 kg",
+        ),
+        (
+            ["--geometry", "drum", "--set", "geometry.diameter=140"],
+            "reaches 70 m from its axis and holds 154 m^3, but must reach 0.005 to 20 m",
+        ),
         (
             [
                 "--set",
@@ -283,3 +277,24 @@ def test_a_region_that_misses_the_bed_is_said(scaleup):
     )  # fmt: skip
     assert done.returncode == 2
     assert "component 1 is 0% of the bed" in done.stderr
+
+
+def test_a_plan_says_what_a_run_would_cost_and_solves_nothing(scaleup, store, tmp_path):
+    scene = ("--flow", "surface-layer", "--set", "geometry.diameter=133 mm")
+    before = set(store.iterdir())
+    plan = scaleup("plan", *scene, "--mixing", "lax-wendroff", "--set", "grid.cells=1e5")
+    assert plan.returncode == 0, plan.stderr
+    assert "2-D, because the geometry 'drum' is a cross-section" in plan.stdout
+    assert "1e+05 full ones in the bed" in plan.stdout
+    assert set(store.iterdir()) == before
+    assert list(tmp_path.iterdir()) == []
+    done = scaleup("simulate", *scene, *QUICK[2:], "--output", "run")
+    assert done.returncode == 0, done.stderr
+    plan = scaleup("plan", *scene, *QUICK[2:], "--ranks", "2")
+    lines = dict(line.split(maxsplit=2)[::2] for line in plan.stdout.splitlines() if "time" in line)
+    assert plan.stdout.count("none: it is in the store") == 1
+    assert "on 2 rank(s)" in plan.stdout
+    assert "scaled from" in plan.stdout
+    assert set(lines) == {"flow", "mixing"}
+    refused = scaleup("plan", "--geometry", "cement-mixer")
+    assert refused.returncode == 2

@@ -90,6 +90,12 @@ def test_a_new_plugin_passes_its_checks_until_it_is_broken(third_party, scaleup,
     assert checked.returncode == 1
     assert "FAIL volume agrees with quadrature" in checked.stdout
     assert checked.stderr.startswith("Error: ")
+    good = code.read_text().replace("np.pi / 2", "np.pi / 3")
+    code.write_text(good.replace("return np.minimum(np", "return -np.minimum(np"))  # inside out
+    checked = installed(*command)
+    assert checked.returncode == 1
+    assert "FAIL the box lies around the inside" in checked.stdout
+    assert "skip the flow 'surface-layer' solves it: first mend what failed" in checked.stdout
     code.write_text(code.read_text() + "\nraise RuntimeError('half done')\n")
     checked = installed(*command)
     assert checked.returncode in (1, 2)

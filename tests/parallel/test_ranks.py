@@ -44,13 +44,13 @@ from scaleup.config import compose
 comm = parallel.start()
 from scaleup.blending import mix
 from scaleup.flow_source import obtain_flow
-from scaleup.storage import Results
+from scaleup.results import Results
 
 config = compose(None, ["grid.spacing='1 mm'", "operation.revolutions=0.15", *sys.argv[2:]],
                  {"flow": {"name": "surface-layer"}})
 from pathlib import Path
 outcome = obtain_flow(config, comm)
-results = Results(Path(sys.argv[1]), outcome.flow.grid, config.operation.period)
+results = Results.of(Path(sys.argv[1]), outcome.flow)
 blend = mix(config, outcome.flow, comm, results=results)
 if comm.rank == 0:
     print(blend.intensity[-1], blend.ledger.steps, blend.ledger.clipped)

@@ -154,3 +154,11 @@ def test_the_checks_see_what_is_wrong(change, sentence):
     with pytest.raises(ContractError) as caught:
         check_geometry(shape)
     assert sentence in str(caught.value)
+
+
+def test_a_solid_that_lies_elsewhere_is_seen():
+    shape = vessel("v-blender")
+    moved = shape.solid().Move((0.0, 0.004, 0.0))
+    shape.solid = lambda: moved
+    with pytest.raises(ContractError, match="centre of volume is at"):
+        check_geometry(shape)
