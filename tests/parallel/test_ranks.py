@@ -194,6 +194,17 @@ def test_concentrations_are_the_same_on_one_two_and_three_ranks(store, on_ranks,
         assert np.nanmax(np.abs(fields[ranks] - fields[1])) < 1e-12
 
 
+def test_semi_lagrangian_agrees_on_one_two_and_three_ranks(store, on_ranks, tmp_path):
+    found = []
+    for ranks in (1, 2, 3):
+        folder = tmp_path / str(ranks)
+        folder.mkdir()
+        out = on_ranks(ranks, BLEND, str(folder), "mixing.name=semi-lagrangian")
+        found.append(float(out.split()[0]))
+    assert 0.1 < found[0] < 0.999
+    assert max(found) - min(found) < 1e-12
+
+
 def test_an_error_on_one_rank_ends_all(on_ranks, tmp_path):
     program = (
         "from scaleup import parallel\ncomm = parallel.start()\n"

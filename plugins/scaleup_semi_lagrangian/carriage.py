@@ -1,0 +1,126 @@
+"""A stretch of time as one operation: where content goes, and how it settles there.
+
+A `Carriage` is built once and used each time the flow comes back to it: on every step of a steady
+flow, once in a revolution of a periodic one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from scaleup.api import BoolArray, FloatArray, Grid
+from scaleup_semi_lagrangian import images, paths, settlement, subcells
+from scaleup_semi_lagrangian.moving_cells import MovingCells
+
+_EMPTY = 1e-13  # fill fraction
+_ROUNDS = 6  # of balancing
+_MOST_CHANGE = 2.0  # of a factor in a round
+
+
+class Carriage:
+    """Moves the content of all moving cells over a part of an interval; the same on every rank.
+
+    moving -- the cells
+    laid   -- (m,) what is laid down in each, as a fill fraction, before it settles
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        split: Any,
+        moving: MovingCells,
+        share: tuple[float, float],
+        duration: float,
+        per_edge: int,
+    ):
+        """Collective.
+
+        share    -- start and end of the part, as shares of the interval
+        duration -- s, of the part
+        per_edge -- sub-cells along an edge of a cell
+        """
+        self.moving, self._split, self._per_edge = moving, split, per_edge
+        start, end = (
+            (1.0 - s) * moving.start + s * moving.end if s not in (0.0, 1.0)
+            else (moving.end if s else moving.start)
+            for s in share
+        )  # fmt: skip
+        start, end = (np.where(fill > _EMPTY, fill, 0.0) for fill in (start, end))
+        self._start, self._holds = start, end > 0.0
+        placing = split.placing(moving.cells)
+        self._sources = np.flatnonzero(placing.mine & (start > 0.0)).astype(np.int32)
+        self._position = placing.place[self._sources]
+        index = np.unravel_index(moving.cells, grid.shape)
+        self._coordinates = np.stack(index[::-1], axis=-1).astype(np.int32)
+        points = paths.lattice(per_edge, grid.dimension)
+        self._points = points - 0.5
+        self._landed, places = paths.follow(
+            moving.below, moving.above, moving.flux, moving.shear, start,
+            (end - start) / duration, self._sources, points, duration,
+        )  # fmt: skip
+        self._places = np.rint(places * images.SCALE).astype(np.uint16)
+        self._strides = strides_of(split)
+        self._balance(end)
+        self._settlement = settlement.settle(moving.below, moving.above, self.laid, end)
+        self._means, self._slopes = subcells.stencils(per_edge)
+        # where values are put: this rank's cells and its ghosts
+        here = np.flatnonzero(placing.place >= 0)
+        self._here, self._there = here, placing.place[here]
+
+    def _balance(self, fill: FloatArray) -> None:
+        """Factors of the cells with which the laid volumes come near to the fills.
+
+        In turns, the parts of a source are scaled to its volume and those in a cell to its fill
+        (Sinkhorn 1964); the first comes last.
+        """
+        moving = self.moving
+        self._factor = np.ones(len(fill))
+        for number in range(_ROUNDS + 1):
+            laid = np.zeros(len(fill))
+            images.lay_volumes(
+                laid, self._sources, self._landed, self._places, moving.below, moving.above,
+                self._holds, self._factor, self._start, self._strides, self._per_edge,
+            )  # fmt: skip
+            self.laid = self._split.totals(laid)
+            if number < _ROUNDS:
+                ratio = np.divide(fill, self.laid, out=np.ones_like(fill), where=self.laid > 0)
+                self._factor *= np.clip(ratio, 1 / _MOST_CHANGE, _MOST_CHANGE)
+
+    def prepare(self, material: BoolArray) -> None:
+        """Choose the stencils of the sources; `material` flags local cells that hold some."""
+        self._material = material
+        self._kinds = subcells.kinds(self._position, material, self._strides)
+
+    def apply(self, c: FloatArray) -> tuple[float, float]:
+        """Move the concentrations c (components, cells) in flattened local arrays; collective.
+
+        All components but the last. Ghosts are set too. Returns the least and the greatest of all.
+        """
+        moving, m = self.moving, len(self.moving.cells)
+        laid = np.zeros((len(c), m))
+        images.lay_contents(
+            laid, self._sources, self._landed, self._places, moving.below, moving.above,
+            self._holds, self._factor, self._start, self._coordinates, c, self._position,
+            self._strides, self._material, self._points, self._means, self._slopes, self._kinds,
+        )  # fmt: skip
+        content = self._split.totals(laid)
+        new = laid
+        new[:, self._here] = c[:, self._there]
+        flux, order = self._settlement.flux, self._settlement.order
+        settlement.carry(new, content, self.laid, moving.below, moving.above, flux, order)
+        c[:, self._there] = new[:, self._here]
+        return settlement.bounds(new, self._holds)
+
+    @property
+    def bytes(self) -> int:
+        """Memory held."""
+        held = (self._landed, self._places, self._factor, self.laid, self._settlement.flux)
+        return sum(array.nbytes for array in held)
+
+
+def strides_of(split: Any) -> tuple[int, ...]:
+    """Offset to the next cell along each axis in flattened local arrays, x first."""
+    shape = split.local_shape
+    return tuple(int(np.prod(shape[n + 1 :])) for n in range(len(shape)))[::-1]

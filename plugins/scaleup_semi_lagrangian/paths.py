@@ -1,0 +1,168 @@
+"""Where the material of a cell goes: paths through the cells, from the face fluxes alone.
+
+In a cell of fill fraction phi(t), taken as of uniform density, the velocity in cells per second
+along each axis is
+
+    dx/dt = [f_0 + (f_1 - f_0) x] / phi(t),     x in [0, 1],
+
+with f_0 and f_1 the fluxes through the lower and the upper face over the volume of a cell (Pollock
+1988, Ground Water 26, 743). Density times velocity is continuous through faces and
+d(phi)/dt = f_0 - f_1 summed over the axes, so that the motion carries the fills of an interval into
+each other exactly, whatever the cells hold: no path leaves the bed, and a cut cell limits nothing.
+
+Within a cell the equation is solved exactly in the time tau, d(tau) = dt/phi: a path goes from
+face to face. Where all cells around are full the fluxes are those at the path's transverse place,
+f + sum over transverse axes b of shear_b (x_b - 1/2), with the mean of x_b on the way through the
+cell.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from scaleup.api import FloatArray, IntArray
+
+_MOST = 100_000  # faces on a path
+_EMPTY = 1e-13  # fill fraction
+
+
+def lattice(per_edge: int, dimension: int) -> FloatArray:
+    """Middles of the `per_edge`^dimension equal sub-cells of the unit cell, x fastest."""
+    line = (np.arange(per_edge) + 0.5) / per_edge
+    mesh = np.meshgrid(*[line] * dimension, indexing="ij")
+    return np.stack([part.ravel() for part in reversed(mesh)], axis=-1)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def follow(
+    below: IntArray,
+    above: IntArray,
+    flux: FloatArray,
+    shear: FloatArray,
+    start: FloatArray,
+    rate: FloatArray,
+    sources: IntArray,
+    points: FloatArray,
+    duration: float,
+) -> tuple[IntArray, FloatArray]:
+    """Follow points of cells for a time (s); see the module.
+
+    start, rate -- fill fraction at the beginning of the time and its change per second
+    """
+    dimension, count = flux.shape[0], points.shape[0]
+    landed = np.empty((len(sources), count), dtype=np.int32)
+    places = np.empty((len(sources), count, dimension), dtype=np.float32)
+    x, v, grows = np.empty(dimension), np.empty(dimension), np.empty(dimension)
+    f0, f1 = np.empty(dimension), np.empty(dimension)
+    for n in range(len(sources)):
+        for p in range(count):
+            i, now = sources[n], 0.0
+            for a in range(dimension):
+                x[a] = points[p, a]
+            stuck = 0
+            for _ in range(_MOST):
+                phi = start[i] + rate[i] * now
+                last = start[i] + rate[i] * duration
+                left = duration - now
+                # the time left, in tau
+                change = rate[i] * left
+                if last <= _EMPTY:
+                    tau_left = np.inf
+                elif abs(change) < 1e-6 * phi:
+                    tau_left = left / (phi + 0.5 * change)
+                else:
+                    tau_left = math.log(last / max(phi, 1e-300)) / rate[i]
+                quick = tau_left
+                for a in range(dimension):
+                    up = above[a, i]
+                    f0[a] = flux[a, i]
+                    f1[a] = flux[a, up] if up >= 0 else 0.0
+                    if stuck < 3:
+                        for b in range(dimension):
+                            if b != a:
+                                f0[a] += shear[a, b, i] * (x[b] - 0.5)
+                                if up >= 0:
+                                    f1[a] += shear[a, b, up] * (x[b] - 0.5)
+                    v[a] = f0[a] + (f1[a] - f0[a]) * x[a]
+                for a in range(dimension if stuck < 3 else 0):
+                    up = above[a, i]
+                    grows[a] = (f1[a] - f0[a]) * v[a]
+                    for b in range(dimension):
+                        if b != a:
+                            here = shear[a, b, i]
+                            if up >= 0:
+                                here += (shear[a, b, up] - here) * x[a]
+                            grows[a] += here * v[b]
+                    if v[a] != 0.0:
+                        t = ((1.0 - x[a]) if v[a] > 0.0 else -x[a]) / v[a]
+                        bend = 0.5 * grows[a] * t / v[a]
+                        quick = min(quick, t * min(max(1.0 - bend, 0.5), 2.0))
+                # the mean transverse place until then, to third order
+                for b in range(dimension if stuck < 3 else 0):
+                    y = x[b] + quick * (0.5 * v[b] + quick * grows[b] / 6)
+                    y = min(max(y, 0.0), 1.0) - x[b]
+                    for a in range(dimension):
+                        if b != a:
+                            up = above[a, i]
+                            f0[a] += shear[a, b, i] * y
+                            if up >= 0:
+                                f1[a] += shear[a, b, up] * y
+                tau, through = tau_left, -1
+                for a in range(dimension):
+                    w = f0[a] + (f1[a] - f0[a]) * x[a]
+                    v[a] = w
+                    if w > 0.0 and f1[a] > 0.0:
+                        t = _time_to(1.0 - x[a], w, f1[a])
+                    elif w < 0.0 and f0[a] < 0.0:
+                        t = _time_to(x[a], -w, -f0[a])
+                    else:
+                        continue
+                    if t < tau:
+                        tau, through = t, a
+                if through < 0 and tau == np.inf:
+                    break
+                for a in range(dimension):
+                    k = f1[a] - f0[a]
+                    if a != through:
+                        x[a] = min(max(x[a] + v[a] * _grown(k, tau), 0.0), 1.0)
+                if through < 0:
+                    break
+                if rate[i] == 0.0:
+                    now += tau * phi
+                else:
+                    now += phi * _grown(rate[i], tau)
+                stuck = stuck + 1 if tau == 0.0 else 0
+                if v[through] > 0.0:
+                    i = above[through, i]
+                    x[through] = 0.0
+                else:
+                    i = below[through, i]
+                    x[through] = 1.0
+                if now >= duration:
+                    break
+            landed[n, p] = i
+            for a in range(dimension):
+                places[n, p, a] = x[a]
+    return landed, places
+
+
+@numba.njit(inline="always")
+def _time_to(way: float, speed: float, at_face: float) -> float:
+    """Tau for `way` (in cells) from `speed` to the speed `at_face`, linear in between."""
+    z = (at_face - speed) / (at_face + speed)
+    if abs(z) < 0.3:  # log(at_face/speed) = 2 artanh(z)
+        s = z * z
+        return way * 2.0 * (1.0 + s * (1 / 3 + s * (0.2 + s * (1 / 7 + s / 9)))) / (at_face + speed)
+    return way * math.log(at_face / speed) / (at_face - speed)
+
+
+@numba.njit(inline="always")
+def _grown(k: float, tau: float) -> float:
+    """(exp(k tau) - 1)/k."""
+    z = k * tau
+    if abs(z) < 0.1:
+        return tau * (1.0 + z * (0.5 + z * (1 / 6 + z * (1 / 24 + z * (1 / 120 + z / 720)))))
+    return (math.exp(z) - 1.0) / k

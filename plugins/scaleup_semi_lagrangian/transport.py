@@ -1,0 +1,178 @@
+"""Semi-Lagrangian transport: half the exchange, the carriage, the other half (Strang 1968).
+
+Algorithm of a step from s to t, within an interval of the flow:
+
+1. diffusion over (t - s)/2 with the fills at s (`exchange`);
+2. content moved along paths from s to t (`carriage`);
+3. diffusion over (t - s)/2 with the fills at t.
+
+No step is unstable: 2. is a mean of values for any step, and 1. and 3. take as many steps of their
+own as positivity asks for. Steps are limited for accuracy alone (`greatest_gradient`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scaleup.api import (
+    FloatArray,
+    InputError,
+    Interval,
+    Ledger,
+    MixingScene,
+    spread_outwards,
+)
+from scaleup_semi_lagrangian.carriage import Carriage, strides_of
+from scaleup_semi_lagrangian.exchange import Exchange, Pairs
+from scaleup_semi_lagrangian.moving_cells import Finder, MovingCells
+
+if TYPE_CHECKING:
+    from scaleup_semi_lagrangian import SemiLagrangian
+
+_EMPTY = 1e-13  # fill fraction
+
+
+class Transport:
+    """State and steps on a rank. All components but the last are moved; it is what remains."""
+
+    def __init__(
+        self,
+        scene: MixingScene,
+        options: SemiLagrangian.Options,
+        concentration: FloatArray,
+        index: int,
+    ):
+        self._scene, self._split, self._options = scene, scene.decomposition, options
+        self._grid = scene.flow.grid
+        self._field = self._split.field(len(concentration) - 1)
+        self._owned = np.zeros(self._field.flat.shape[1], dtype=bool)
+        self._owned.reshape(self._split.local_shape)[self._split.owned] = True
+        self._gain = np.zeros(len(self._owned))
+        self._finder = Finder(self._grid)
+        self._held = 0  # bytes of them
+        self._carriages: OrderedDict[tuple[int, float, float], Carriage] = OrderedDict()
+        self._kept: tuple[tuple[int, float], Pairs] | None = None
+        self._per_edge = options.subcells or (4 if self._grid.dimension == 2 else 2)
+        self._enter(index)
+        active = self._interval.cells
+        local = self._split.placing(active).local(concentration[:-1])
+        self._field.flat[...] = local
+        self._now = self._interval.start
+
+    def _enter(self, index: int) -> None:
+        """Take up an interval: what moves in it, and who exchanges."""
+        self._index = index
+        interval = self._interval = self._scene.flow.intervals[index]
+        self._moving = self._finder.find(interval)
+        self._placing = self._split.placing(interval.cells)
+        here = self._placing.place >= 0
+        self._exchange = Exchange(
+            self._scene.tensor(interval)[:, :, here],
+            self._grid.spacing,
+            self._placing.place[here],
+            strides_of(self._split),
+        )
+        if self._exchange.reach > self._split.halo:
+            raise InputError(
+                "mixing.name = 'semi-lagrangian': the diffusion tensor is too anisotropic "
+                f"(its exchanges reach {self._exchange.reach} cells, at most {self._split.halo})"
+            )
+        self._longest = self._options.deformation / max(greatest_gradient(self._moving), 1e-300)
+
+    def advance(self, index: int, start: float, end: float) -> Ledger:
+        """Equal steps (collective)."""
+        if index != self._index:
+            self._enter(index)
+        longest = self._options.time_step or self._longest
+        count = max(1, math.ceil((end - start) / longest - 1e-6))
+        dt = (end - start) / count
+        ledger = Ledger(
+            steps=count, cell_updates=count * len(self._moving.cells) * len(self._field.flat)
+        )
+        for number in range(count):
+            self._step(start + number * dt, start + (number + 1) * dt, ledger)
+        self._now = end
+        return ledger
+
+    def _step(self, start: float, end: float, ledger: Ledger) -> None:
+        self._diffuse(start, 0.5 * (end - start))
+        if len(self._moving.cells):
+            carriage = self._carriage(start, end)
+            low, high = carriage.apply(self._field.flat)
+            ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
+        self._diffuse(end, 0.5 * (end - start))
+
+    def _carriage(self, start: float, end: float) -> Carriage:
+        """The carriage of a step: kept, or built."""
+        interval, steady = self._interval, self._lasts
+        key = (self._index, 0.0 if steady else round(start, 9), round(end - start, 9))
+        if key not in self._carriages:
+            share = (
+                (0.0, 1.0) if steady
+                else tuple((t - interval.start) / interval.duration for t in (start, end))
+            )  # fmt: skip
+            carriage = Carriage(
+                self._grid, self._split, self._moving, share, end - start, self._per_edge
+            )
+            carriage.prepare(self._fraction(start) > _EMPTY)
+            self._held += carriage.bytes
+            while self._carriages and self._held > self._options.memory * 1e9:
+                # a periodic flow comes back to the oldest first: the newest kept one goes
+                self._held -= self._carriages.popitem(last=True)[1].bytes
+            self._carriages[key] = carriage
+        return self._carriages[key]
+
+    @property
+    def _lasts(self) -> bool:
+        """Whether the interval is a steady flow, of any length."""
+        flow = self._scene.flow
+        return flow.steady and self._index == flow.prefix
+
+    def _fraction(self, time: float) -> FloatArray:
+        """Fill fraction in local arrays at a time of the interval, s."""
+        interval = self._interval
+        fill = interval.fill_start if self._lasts else interval.fill(time)
+        return self._placing.local(fill / self._grid.cell_volume)
+
+    def _diffuse(self, time: float, duration: float) -> None:
+        """Exchange over a duration (s) with the fills at a time; collective."""
+        pairs = self._pairs(time)
+        if pairs.fastest == 0.0:
+            return
+        count = pairs.steps(duration)
+        for _ in range(count):
+            pairs.step(self._field.flat, self._gain, duration / count)
+            self._field.exchange()
+
+    def _pairs(self, time: float) -> Pairs:
+        """Who exchanges with the fills at a time; those asked for last are kept."""
+        key = (self._index, 0.0 if self._lasts else time)
+        if self._kept is None or self._kept[0] != key:
+            pairs = Pairs(self._exchange, self._fraction(time), self._owned, self._split.largest)
+            self._kept = key, pairs
+        return self._kept[1]
+
+    def concentration(self, interval: Interval) -> FloatArray:
+        """(components, n) on an interval's cells, on every rank; sums to 1 (collective)."""
+        now = self._interval
+        fill = now.fill_start if self._lasts else now.fill(self._now)
+        known = now.cells[fill > _EMPTY * self._grid.cell_volume]
+        mine, where = self._split.owned_cells(known)
+        place = np.ravel_multi_index(where, self._split.local_shape)
+        values = self._split.gather(known, self._field.flat[:, place], mine)
+        moved = spread_outwards(self._grid, known, values, interval.cells)
+        return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
+
+
+def greatest_gradient(moving: MovingCells) -> float:
+    """Greatest velocity gradient between the faces of full cells, 1/s."""
+    greatest = float(np.abs(moving.shear).max(initial=0.0))
+    full = np.minimum(moving.start, moving.end) >= 1.0 - 1e-9
+    for lower, above in zip(moving.flux, moving.above, strict=True):
+        both = full & (above >= 0)
+        greatest = max(greatest, float(np.abs(lower[above[both]] - lower[both]).max(initial=0.0)))
+    return greatest

@@ -1,0 +1,81 @@
+"""Mixing `semi-lagrangian`: paths, balances, exchange; what it promises whatever the step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from scaleup.verification import fitted_order, problems, run
+from scaleup_semi_lagrangian import SemiLagrangian
+from scaleup_semi_lagrangian.exchange import _decompose
+from scaleup_semi_lagrangian.moving_cells import Finder
+from scaleup_semi_lagrangian.paths import follow, lattice
+
+
+def backend(**options):
+    return SemiLagrangian(SemiLagrangian.Options(**options))
+
+
+def test_paths_in_rigid_rotation_come_back():
+    problem = problems()["gaussian"]
+    flow = problem.flow(64)
+    moving = Finder(flow.grid).find(flow.intervals[0])
+    centre = flow.grid.centre_points(moving.cells)
+    radius = np.linalg.norm(centre - 0.5, axis=1)
+    sources = np.flatnonzero((radius > 0.1) & (radius < 0.4)).astype(np.int32)
+    rest = np.zeros_like(moving.start)
+    landed, places = follow(
+        moving.below, moving.above, moving.flux, moving.shear, moving.start, rest, sources,
+        lattice(2, 2), 1.0,
+    )  # fmt: skip
+    end = centre[landed] + (places - 0.5) / 64
+    begin = centre[sources][:, None] + (lattice(2, 2) - 0.5) / 64
+    assert np.abs(end - begin).max() < 0.2 / 64
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_exchange_is_the_tensor(dimension):
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(dimension, dimension, 200))
+    tensor = np.einsum("abn,cbn->acn", root, root) + 0.05 * np.eye(dimension)[:, :, None]
+    vectors, weights = _decompose(tensor)
+    assert weights.min() >= 0
+    again = np.einsum("akn,bkn,kn->abn", vectors, vectors, weights)
+    assert np.abs(again - tensor).max() < 1e-9 * np.abs(tensor).max()
+
+
+@pytest.mark.parametrize("deformation", [0.5, 2.0, 20.0])
+@pytest.mark.parametrize(("name", "n"), [("zalesak", 50), ("sloshing", 32), ("sloshing-3d", 16)])
+def test_mass_and_bounds_hold_for_any_step(name, n, deformation):
+    result = run(problems()[name], backend(deformation=deformation), n)
+    assert abs(result.mass_drift) < 1e-12
+    assert result.minimum > -1e-12
+    assert result.maximum < 1 + 1e-12
+
+
+def test_order_on_smooth_flow():
+    problem = problems()["gaussian"]
+    results = [run(problem, backend(deformation=0.15), n) for n in (32, 64, 128)]
+    assert fitted_order(results) > 2.5
+    assert results[-1].l1 < 1e-3
+
+
+def test_order_on_a_moving_surface():
+    problem = problems()["sloshing"]
+    results = [run(problem, backend(), n) for n in (16, 32, 64)]
+    assert fitted_order(results) > 1.0
+    assert results[-1].l1 < 2e-3
+
+
+def test_variance_grows_as_the_diffusivity_says():
+    result = run(problems()["gaussian-diffusing"], backend(deformation=0.5), 64)
+    assert result.variance_ratio == pytest.approx(1.0, abs=0.02)
+
+
+def test_fewer_steps_than_cells_are_crossed():
+    result = run(problems()["gaussian"], backend(), 128)
+    crossed = 2 * math.pi * 0.25 * 128
+    assert result.steps < 0.05 * crossed
+    assert result.l1 < 5e-3
