@@ -66,11 +66,13 @@ class Pairs:
         largest: Callable[[float], float],
     ):
         """Collective. `fraction`: fill fractions, `owned`: flags, in flattened local arrays."""
-        a, b = exchange.first, exchange.second
+        a, b, weight = exchange.first, exchange.second, exchange.weight
+        here = (b >= 0) & (b < len(owned))  # ghosts exchange with cells beyond the local arrays too
+        a, b, weight = a[here], b[here], weight[here]
         both = np.minimum(fraction[a], fraction[b])
         kept = (both > _LEAST) & (owned[a] | owned[b])
         self._first, self._second = a[kept], b[kept]
-        self._conductance = exchange.weight[kept] * both[kept]
+        self._conductance = weight[kept] * both[kept]
         loss = sum(
             np.bincount(end, self._conductance, len(fraction))
             for end in (self._first, self._second)

@@ -205,6 +205,32 @@ def test_semi_lagrangian_agrees_on_one_two_and_three_ranks(store, on_ranks, tmp_
     assert max(found) - min(found) < 1e-12
 
 
+SPACE = """
+import dataclasses
+import numpy as np
+from scaleup import parallel
+
+comm = parallel.start()
+from scaleup.verification import problems, run
+from scaleup.verification.problem import uniform_tensor
+from scaleup_semi_lagrangian import SemiLagrangian
+
+spreading = uniform_tensor(1e-3 * np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.3], [0.0, 0.3, 1.0]]))
+problem = dataclasses.replace(problems()["sloshing-3d"], tensor=spreading)
+result = run(problem, SemiLagrangian(SemiLagrangian.Options()), 16, comm)
+if comm.rank == 0:
+    print(result.l1, result.mass_drift, result.minimum, result.maximum)
+"""
+
+
+def test_semi_lagrangian_agrees_on_ranks_in_space_on_a_moving_fill(on_ranks):
+    one, two = (np.array(on_ranks(ranks, SPACE).split(), dtype=float) for ranks in (1, 2))
+    assert np.abs(one - two).max() < 1e-12
+    assert abs(one[1]) < 1e-12
+    assert one[2] > -1e-12
+    assert one[3] < 1 + 1e-12
+
+
 def test_an_error_on_one_rank_ends_all(on_ranks, tmp_path):
     program = (
         "from scaleup import parallel\ncomm = parallel.start()\n"
