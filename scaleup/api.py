@@ -28,6 +28,7 @@ from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
 from scaleup.flux_correction import FluxCorrection
 from scaleup.grid import FULL, BoolArray, FloatArray, Grid, IntArray, grid_over
 from scaleup.ledger import Ledger
+from scaleup.merged_cells import neighbours_below
 from scaleup.parallel import on_each, on_root, on_root_alone
 from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
@@ -89,6 +90,7 @@ __all__ = [
     "interval_from_dense",
     "is_circle",
     "level_height",
+    "neighbours_below",
     "on_each",
     "on_root",
     "on_root_alone",

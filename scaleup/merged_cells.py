@@ -43,18 +43,9 @@ class Groups:
 
 def neighbours_below(grid: Grid, cells: IntArray) -> IntArray:
     """Position in `cells` of each cell's lower neighbour along each axis, or -1; (dimension, n)."""
-    mode = "wrap" if grid.periodic else "constant"
-    where = np.full(grid.cells, -1, dtype=np.int64)
-    where[cells] = np.arange(len(cells))
-    result = np.empty((grid.dimension, len(cells)), dtype=np.int64)
-    index = np.unravel_index(cells, grid.shape)
-    for axis in range(grid.dimension):
-        pad = [(0, 0)] * grid.dimension
-        pad[grid.array_axis(axis)] = (1, 0)
-        extra = {} if grid.periodic else {"constant_values": -1}
-        padded = np.pad(where.reshape(grid.shape), pad, mode=mode, **extra)  # type: ignore[call-overload]
-        result[axis] = padded[index]
-    return result
+    place = np.full(grid.cells, -1, dtype=np.int64)
+    place[cells] = np.arange(len(cells))
+    return _look_below(cells, place, np.array(grid.counts), grid.periodic)
 
 
 def merge(
@@ -90,6 +81,21 @@ def merge(
     if len(members) == 0:
         starts = np.zeros(0, dtype=np.int64)
     return Groups(members, np.concatenate([starts, [len(members)]]).astype(np.int64))
+
+
+@numba.njit(cache=True)
+def _look_below(cells: IntArray, place: IntArray, counts: IntArray, periodic: bool) -> IntArray:
+    """The above, given the position of every cell of the grid in `cells`, or -1."""
+    below = np.full((len(counts), len(cells)), -1, dtype=np.int64)
+    for k in range(len(cells)):
+        cell, stride = cells[k], 1
+        for axis in range(len(counts)):
+            if (cell // stride) % counts[axis] > 0:
+                below[axis, k] = place[cell - stride]
+            elif periodic:
+                below[axis, k] = place[cell + (counts[axis] - 1) * stride]
+            stride *= counts[axis]
+    return below
 
 
 @numba.njit(cache=True)

@@ -22,8 +22,7 @@ _MOST_CHANGE = 2.0  # of a factor in a round
 class Carriage:
     """Moves the content of all moving cells over a part of an interval; the same on every rank.
 
-    moving -- the cells
-    laid   -- (m,) what is laid down in each, as a fill fraction, before it settles
+    laid -- (m,) what is laid down in each, as a fill fraction, before it settles
     """
 
     def __init__(
@@ -31,17 +30,20 @@ class Carriage:
         grid: Grid,
         split: Any,
         moving: MovingCells,
+        material: BoolArray,
         share: tuple[float, float],
         duration: float,
         per_edge: int,
     ):
         """Collective.
 
+        material -- which local cells hold some at the start of the part
         share    -- start and end of the part, as shares of the interval
         duration -- s, of the part
         per_edge -- sub-cells along an edge of a cell
         """
-        self.moving, self._split, self._per_edge = moving, split, per_edge
+        self._split, self._per_edge = split, per_edge
+        self._below, self._above = moving.below, moving.above
         start, end = (
             (1.0 - s) * moving.start + s * moving.end if s not in (0.0, 1.0)
             else (moving.end if s else moving.start)
@@ -63,8 +65,10 @@ class Carriage:
         self._places = np.rint(places * images.SCALE).astype(np.uint16)
         self._strides = strides_of(split)
         self._balance(end)
-        self._settlement = settlement.settle(moving.below, moving.above, self.laid, end)
+        self._settlement = settlement.settle(self._below, self._above, self.laid, end)
         self._means, self._slopes = subcells.stencils(per_edge)
+        self._kinds = subcells.kinds(self._position, material, self._strides)
+        self._corners = subcells.corners(self._position, material, self._strides)
         # where values are put: this rank's cells and its ghosts
         here = np.flatnonzero(placing.place >= 0)
         self._here, self._there = here, placing.place[here]
@@ -75,12 +79,11 @@ class Carriage:
         In turns, the parts of a source are scaled to its volume and those in a cell to its fill
         (Sinkhorn 1964); the first comes last.
         """
-        moving = self.moving
         self._factor = np.ones(len(fill))
         for number in range(_ROUNDS + 1):
             laid = np.zeros(len(fill))
             images.lay_volumes(
-                laid, self._sources, self._landed, self._places, moving.below, moving.above,
+                laid, self._sources, self._landed, self._places, self._below, self._above,
                 self._holds, self._factor, self._start, self._strides, self._per_edge,
             )  # fmt: skip
             self.laid = self._split.totals(laid)
@@ -88,36 +91,30 @@ class Carriage:
                 ratio = np.divide(fill, self.laid, out=np.ones_like(fill), where=self.laid > 0)
                 self._factor *= np.clip(ratio, 1 / _MOST_CHANGE, _MOST_CHANGE)
 
-    def prepare(self, material: BoolArray) -> None:
-        """Choose the stencils of the sources; `material` flags local cells that hold some."""
-        self._material = material
-        self._kinds = subcells.kinds(self._position, material, self._strides)
-
     def apply(self, c: FloatArray) -> tuple[float, float]:
         """Move the concentrations c (components, cells) in flattened local arrays; collective.
 
         All components but the last. Ghosts are set too. Returns the least and the greatest of all.
         """
-        moving, m = self.moving, len(self.moving.cells)
-        laid = np.zeros((len(c), m))
+        laid = np.zeros((len(c), len(self.laid)))
         images.lay_contents(
-            laid, self._sources, self._landed, self._places, moving.below, moving.above,
+            laid, self._sources, self._landed, self._places, self._below, self._above,
             self._holds, self._factor, self._start, self._coordinates, c, self._position,
-            self._strides, self._material, self._points, self._means, self._slopes, self._kinds,
+            self._strides, self._corners, self._points, self._means, self._slopes, self._kinds,
         )  # fmt: skip
         content = self._split.totals(laid)
         new = laid
         new[:, self._here] = c[:, self._there]
         flux, order = self._settlement.flux, self._settlement.order
-        settlement.carry(new, content, self.laid, moving.below, moving.above, flux, order)
+        settlement.carry(new, content, self.laid, self._below, self._above, flux, order)
         c[:, self._there] = new[:, self._here]
         return settlement.bounds(new, self._holds)
 
     @property
     def bytes(self) -> int:
         """Memory held."""
-        held = (self._landed, self._places, self._factor, self.laid, self._settlement.flux)
-        return sum(array.nbytes for array in held)
+        held = [*vars(self).values(), *vars(self._settlement).values()]
+        return sum(array.nbytes for array in held if isinstance(array, np.ndarray))
 
 
 def strides_of(split: Any) -> tuple[int, ...]:

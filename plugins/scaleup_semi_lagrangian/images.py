@@ -20,7 +20,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.api import BoolArray, FloatArray, IntArray
 
 SCALE = 65535.0  # places in a cell are kept as 16-bit shares of its edge
 _MOST_STRETCH = 20.0  # of a Jacobian that is believed
@@ -86,7 +86,7 @@ def lay_volumes(
     places: IntArray,
     below: IntArray,
     above: IntArray,
-    holds: FloatArray,
+    holds: BoolArray,
     factor: FloatArray,
     start: FloatArray,
     strides: tuple[int, ...],
@@ -128,14 +128,14 @@ def lay_contents(
     places: IntArray,
     below: IntArray,
     above: IntArray,
-    holds: FloatArray,
+    holds: BoolArray,
     factor: FloatArray,
     start: FloatArray,
     coordinates: IntArray,
     c: FloatArray,
     position: IntArray,
     strides: tuple[int, ...],
-    material: FloatArray,
+    corners: BoolArray,
     points: FloatArray,
     means: FloatArray,
     slopes: FloatArray,
@@ -146,7 +146,7 @@ def lay_contents(
     coordinates -- (m, dimension) whole numbers of the moving cells along the axes
     c        -- (components, cells) in flattened local arrays, all components but the last
     position -- of each source in them, (s,)
-    material -- (cells,) which of them hold material
+    corners  -- `subcells.corners` of each source, (s, pairs)
     points   -- (sub-cells, dimension) their middles relative to the cell's
     means, slopes -- `subcells.stencils`; kinds -- which one each source takes, (s, dimension)
     """
@@ -217,10 +217,7 @@ def lay_contents(
                 for b in range(a):
                     t = strides[b]
                     value = 0.0
-                    if (
-                        material[k + s + t] and material[k + s - t]
-                        and material[k - s + t] and material[k - s - t]
-                    ):  # fmt: skip
+                    if corners[n, a * (a - 1) // 2 + b]:
                         value = 0.25 * (
                             c[q, k + s + t] - c[q, k + s - t] - c[q, k - s + t] + c[q, k - s - t]
                         )

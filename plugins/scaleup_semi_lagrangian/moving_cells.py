@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, Grid, IntArray, Interval
+from scaleup.api import BoolArray, FloatArray, Grid, IntArray, Interval, neighbours_below
 
 _FULL = 1.0 - 1e-9
 
@@ -36,55 +37,38 @@ class MovingCells:
     start: FloatArray
     end: FloatArray
 
+    @cached_property
+    def full(self) -> BoolArray:
+        """Which cells are full all the time, (m,)."""
+        return _full(self.start, self.end)
 
-class Finder:
-    """Finds the moving cells of intervals on a grid; holds one number per cell of the grid."""
-
-    def __init__(self, grid: Grid):
-        self._grid = grid
-        self._place = np.full(grid.cells, -1, dtype=np.int32)
-
-    def find(self, interval: Interval) -> MovingCells:
-        """The moving cells of an interval."""
-        grid, volume = self._grid, self._grid.cell_volume
-        counts = np.array((*grid.counts, 1)[:3])
-        every = interval.cells
-        below = _neighbours(every, self._place, counts, grid.dimension, grid.periodic)
-        touched = _touched(below, interval.flux)
-        where = np.flatnonzero(touched)
-        cells = every[where]
-        below = _neighbours(cells, self._place, counts, grid.dimension, grid.periodic)
-        flux = interval.flux[:, where] / volume
-        start = interval.fill_start[where] / volume
-        end = interval.fill_end[where] / volume
-        full = np.minimum(start, end) >= _FULL
-        shear = _shear(below, _turned_round(below), flux, full)
-        below[flux == 0.0] = -1
-        return MovingCells(cells, where, below, _turned_round(below), flux, shear, start, end)
+    def greatest_gradient(self) -> float:
+        """Greatest velocity gradient between the faces of full cells, 1/s."""
+        greatest = float(np.abs(self.shear).max(initial=0.0))
+        for lower, above in zip(self.flux, self.above, strict=True):
+            both = self.full & (above >= 0)
+            change = np.abs(lower[above[both]] - lower[both])
+            greatest = max(greatest, float(change.max(initial=0.0)))
+        return greatest
 
 
-@numba.njit(cache=True)
-def _neighbours(
-    cells: IntArray, place: IntArray, counts: IntArray, dimension: int, periodic: bool
-) -> IntArray:
-    """Place of each cell's lower neighbour in the list, or -1, (dimension, n)."""
-    for k in range(len(cells)):
-        place[cells[k]] = k
-    below = np.empty((dimension, len(cells)), dtype=np.int32)
-    for k in range(len(cells)):
-        cell, stride = cells[k], 1
-        for axis in range(dimension):
-            index = (cell // stride) % counts[axis]
-            if index > 0:
-                below[axis, k] = place[cell - stride]
-            elif periodic:
-                below[axis, k] = place[cell + (counts[axis] - 1) * stride]
-            else:
-                below[axis, k] = -1
-            stride *= counts[axis]
-    for k in range(len(cells)):
-        place[cells[k]] = -1
-    return below
+def find_moving(grid: Grid, interval: Interval) -> MovingCells:
+    """The moving cells of an interval."""
+    volume = grid.cell_volume
+    where = np.flatnonzero(_touched(neighbours_below(grid, interval.cells), interval.flux))
+    cells = interval.cells[where]
+    below = neighbours_below(grid, cells).astype(np.int32)
+    flux = interval.flux[:, where] / volume
+    start = interval.fill_start[where] / volume
+    end = interval.fill_end[where] / volume
+    full = _full(start, end)
+    shear = _shear(below, _turned_round(below), flux, full)
+    below[flux == 0.0] = -1
+    return MovingCells(cells, where, below, _turned_round(below), flux, shear, start, end)
+
+
+def _full(start: FloatArray, end: FloatArray) -> BoolArray:
+    return np.asarray(np.minimum(start, end) >= _FULL)
 
 
 @numba.njit(cache=True)

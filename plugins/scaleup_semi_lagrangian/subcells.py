@@ -8,14 +8,17 @@ altogether.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
-from scaleup.api import FloatArray
+from scaleup.api import BoolArray, FloatArray, IntArray
 
 NONE, LOWER, UPPER, THREE, FIVE = 0, 1, 2, 3, 4
 """which cells along an axis take part"""
 
 
+@cache
 def stencils(per_edge: int) -> tuple[FloatArray, FloatArray]:
     """Weights of the cells from -2 to 2 along an axis, both (5 kinds, per_edge, 5 cells).
 
@@ -37,7 +40,7 @@ def stencils(per_edge: int) -> tuple[FloatArray, FloatArray]:
     return means, slopes
 
 
-def kinds(position: FloatArray, material: FloatArray, strides: tuple[int, ...]) -> FloatArray:
+def kinds(position: IntArray, material: BoolArray, strides: tuple[int, ...]) -> IntArray:
     """Which stencil the cells at `position` in flattened local arrays take, (n, dimension).
 
     material -- (cells,) which cells hold material
@@ -51,3 +54,16 @@ def kinds(position: FloatArray, material: FloatArray, strides: tuple[int, ...]) 
         found[below & above, axis] = THREE
         found[five, axis] = FIVE
     return found
+
+
+def corners(position: IntArray, material: BoolArray, strides: tuple[int, ...]) -> BoolArray:
+    """Whether the four cells diagonal to each hold material, for each pair of axes, (n, pairs).
+
+    Pairs of axes a > b in the order (1, 0), (2, 0), (2, 1).
+    """
+    found = []
+    for a, s in enumerate(strides):
+        for t in strides[:a]:
+            around = [material[position + i * s + j * t] for i in (-1, 1) for j in (-1, 1)]
+            found.append(np.logical_and.reduce(around))
+    return np.stack(found, axis=-1)

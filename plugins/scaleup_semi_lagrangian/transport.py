@@ -7,7 +7,7 @@ Algorithm of a step from s to t, within an interval of the flow:
 3. diffusion over (t - s)/2 with the fills at t.
 
 No step is unstable: 2. is a mean of values for any step, and 1. and 3. take as many steps of their
-own as positivity asks for. Steps are limited for accuracy alone (`greatest_gradient`).
+own as positivity asks for. Steps are limited for accuracy alone (`MovingCells.greatest_gradient`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from scaleup.api import (
 )
 from scaleup_semi_lagrangian.carriage import Carriage, strides_of
 from scaleup_semi_lagrangian.exchange import Exchange, Pairs
-from scaleup_semi_lagrangian.moving_cells import Finder, MovingCells
+from scaleup_semi_lagrangian.moving_cells import find_moving
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian import SemiLagrangian
@@ -52,7 +52,6 @@ class Transport:
         self._owned = np.zeros(self._field.flat.shape[1], dtype=bool)
         self._owned.reshape(self._split.local_shape)[self._split.owned] = True
         self._gain = np.zeros(len(self._owned))
-        self._finder = Finder(self._grid)
         self._held = 0  # bytes of them
         self._carriages: OrderedDict[tuple[int, float, float], Carriage] = OrderedDict()
         self._kept: tuple[tuple[int, float], Pairs] | None = None
@@ -67,7 +66,7 @@ class Transport:
         """Take up an interval: what moves in it, and who exchanges."""
         self._index = index
         interval = self._interval = self._scene.flow.intervals[index]
-        self._moving = self._finder.find(interval)
+        self._moving = find_moving(self._grid, interval)
         self._placing = self._split.placing(interval.cells)
         here = self._placing.place >= 0
         self._exchange = Exchange(
@@ -81,7 +80,7 @@ class Transport:
                 "mixing.name = 'semi-lagrangian': the diffusion tensor is too anisotropic "
                 f"(its exchanges reach {self._exchange.reach} cells, at most {self._split.halo})"
             )
-        self._longest = self._options.deformation / max(greatest_gradient(self._moving), 1e-300)
+        self._longest = self._options.deformation / max(self._moving.greatest_gradient(), 1e-300)
 
     def advance(self, index: int, start: float, end: float) -> Ledger:
         """Equal steps (collective)."""
@@ -115,10 +114,10 @@ class Transport:
                 (0.0, 1.0) if steady
                 else tuple((t - interval.start) / interval.duration for t in (start, end))
             )  # fmt: skip
+            material = self._fraction(start) > _EMPTY
             carriage = Carriage(
-                self._grid, self._split, self._moving, share, end - start, self._per_edge
+                self._grid, self._split, self._moving, material, share, end - start, self._per_edge
             )
-            carriage.prepare(self._fraction(start) > _EMPTY)
             self._held += carriage.bytes
             while self._carriages and self._held > self._options.memory * 1e9:
                 # a periodic flow comes back to the oldest first: the newest kept one goes
@@ -166,13 +165,3 @@ class Transport:
         values = self._split.gather(known, self._field.flat[:, place], mine)
         moved = spread_outwards(self._grid, known, values, interval.cells)
         return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
-
-
-def greatest_gradient(moving: MovingCells) -> float:
-    """Greatest velocity gradient between the faces of full cells, 1/s."""
-    greatest = float(np.abs(moving.shear).max(initial=0.0))
-    full = np.minimum(moving.start, moving.end) >= 1.0 - 1e-9
-    for lower, above in zip(moving.flux, moving.above, strict=True):
-        both = full & (above >= 0)
-        greatest = max(greatest, float(np.abs(lower[above[both]] - lower[both]).max(initial=0.0)))
-    return greatest

@@ -10,7 +10,7 @@ import pytest
 from scaleup.verification import fitted_order, problems, run
 from scaleup_semi_lagrangian import SemiLagrangian
 from scaleup_semi_lagrangian.exchange import _decompose
-from scaleup_semi_lagrangian.moving_cells import Finder
+from scaleup_semi_lagrangian.moving_cells import find_moving
 from scaleup_semi_lagrangian.paths import follow, lattice
 
 
@@ -21,7 +21,7 @@ def backend(**options):
 def test_paths_in_rigid_rotation_come_back():
     problem = problems()["gaussian"]
     flow = problem.flow(64)
-    moving = Finder(flow.grid).find(flow.intervals[0])
+    moving = find_moving(flow.grid, flow.intervals[0])
     centre = flow.grid.centre_points(moving.cells)
     radius = np.linalg.norm(centre - 0.5, axis=1)
     sources = np.flatnonzero((radius > 0.1) & (radius < 0.4)).astype(np.int32)
