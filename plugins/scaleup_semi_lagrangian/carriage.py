@@ -12,6 +12,7 @@ import numpy as np
 
 from scaleup.api import BoolArray, FloatArray, Grid
 from scaleup_semi_lagrangian import images, paths, settlement, subcells
+from scaleup_semi_lagrangian.middles import ends_of_subcells
 from scaleup_semi_lagrangian.moving_cells import MovingCells
 
 _EMPTY = 1e-13  # fill fraction
@@ -54,18 +55,18 @@ class Carriage:
         placing = split.placing(moving.cells)
         self._sources = np.flatnonzero(placing.mine & (start > 0.0)).astype(np.int32)
         self._position = placing.place[self._sources]
-        index = np.unravel_index(moving.cells, grid.shape)
-        self._coordinates = np.stack(index[::-1], axis=-1).astype(np.int32)
+        self._coordinates = moving.coordinates(grid)
         points = paths.lattice(per_edge, grid.dimension)
         self._points = points - 0.5
-        self._landed, places = paths.follow(
-            moving.below, moving.above, moving.flux, moving.shear, start,
-            (end - start) / duration, self._sources, points, duration,
-        )  # fmt: skip
+        self._landed, places = ends_of_subcells(
+            grid, moving, (start, end), duration, self._sources, points
+        )
         self._places = np.rint(places * images.SCALE).astype(np.uint16)
         self._strides = strides_of(split)
         self._balance(end)
-        self._settlement = settlement.settle(self._below, self._above, self.laid, end)
+        self._settlement = settlement.settle(
+            self._below, self._above, self._coordinates, self.laid, end
+        )
         self._means, self._slopes = subcells.stencils(per_edge)
         self._kinds = subcells.kinds(self._position, material, self._strides)
         self._corners = subcells.corners(self._position, material, self._strides)

@@ -11,6 +11,8 @@ import numpy as np
 from scaleup.api import BoolArray, FloatArray, Grid, IntArray, Interval, neighbours_below
 
 _FULL = 1.0 - 1e-9
+STILL = -2
+"""in `MovingCells.beside`: a full cell that does not move"""
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,9 @@ class MovingCells:
     cells -- flat grid indices, ascending, (m,)
     where -- their places in the interval's list of active cells, (m,)
     below, above -- (dimension, m) places in this list of the neighbours along each axis, or -1
-             where nothing goes through the face between
+             where nothing goes through any part of the face between
+    beside -- (2, dimension, m) places of the neighbours below and above, whatever passes between,
+             that are full; `STILL` where such a one does not move, -1 where there is none
     flux  -- (dimension, m) through the lower faces over the volume of a cell, 1/s
     shear -- (dimension, dimension, m): [a, b] is half the difference between the flux through the
              lower face normal to a of the cell above along b and of the cell below, 1/s; 0 unless
@@ -32,6 +36,7 @@ class MovingCells:
     where: IntArray
     below: IntArray
     above: IntArray
+    beside: IntArray
     flux: FloatArray
     shear: FloatArray
     start: FloatArray
@@ -41,6 +46,11 @@ class MovingCells:
     def full(self) -> BoolArray:
         """Which cells are full all the time, (m,)."""
         return _full(self.start, self.end)
+
+    def coordinates(self, grid: Grid) -> IntArray:
+        """Whole numbers of the cells along the axes, x first, (m, dimension)."""
+        index = np.unravel_index(self.cells, grid.shape)
+        return np.stack(index[::-1], axis=-1).astype(np.int32)
 
     def greatest_gradient(self) -> float:
         """Greatest velocity gradient between the faces of full cells, 1/s."""
@@ -55,16 +65,18 @@ class MovingCells:
 def find_moving(grid: Grid, interval: Interval) -> MovingCells:
     """The moving cells of an interval."""
     volume = grid.cell_volume
-    where = np.flatnonzero(_touched(neighbours_below(grid, interval.cells), interval.flux))
-    cells = interval.cells[where]
-    below = neighbours_below(grid, cells).astype(np.int32)
+    below_all = neighbours_below(grid, interval.cells)
+    where = np.flatnonzero(_touched(below_all, interval.flux))
     flux = interval.flux[:, where] / volume
     start = interval.fill_start[where] / volume
     end = interval.fill_end[where] / volume
-    full = _full(start, end)
-    shear = _shear(below, _turned_round(below), flux, full)
-    below[flux == 0.0] = -1
-    return MovingCells(cells, where, below, _turned_round(below), flux, shear, start, end)
+    full = _full(interval.fill_start / volume, interval.fill_end / volume)
+    below, above, beside = _neighbours(below_all, where, full)
+    shear = _shear(below, above, flux, full[where])
+    below[(flux == 0.0) & (shear == 0.0).all(axis=1)] = -1
+    return MovingCells(
+        interval.cells[where], where, below, _turned_round(below), beside, flux, shear, start, end
+    )
 
 
 def _full(start: FloatArray, end: FloatArray) -> BoolArray:
@@ -79,6 +91,35 @@ def _touched(below: IntArray, flux: FloatArray) -> BoolArray:
             if flux[axis, k] != 0.0 and below[axis, k] >= 0:
                 moves[k] = moves[below[axis, k]] = True
     return moves
+
+
+@numba.njit(cache=True)
+def _neighbours(
+    below_all: IntArray, where: IntArray, full: BoolArray
+) -> tuple[IntArray, IntArray, IntArray]:
+    """`below`, `above` and `beside`, from the neighbours and `full` of all active cells."""
+    dimension, n = below_all.shape
+    number = np.full(n, -1, dtype=np.int32)
+    for place in range(len(where)):
+        number[where[place]] = place
+    below = np.full((dimension, len(where)), -1, dtype=np.int32)
+    above = np.full((dimension, len(where)), -1, dtype=np.int32)
+    beside = np.full((2, dimension, len(where)), -1, dtype=np.int32)
+    for axis in range(dimension):
+        for k in range(n):
+            j = below_all[axis, k]
+            if j < 0:
+                continue
+            upper, lower = number[k], number[j]
+            if upper >= 0:
+                below[axis, upper] = lower
+                if full[j]:
+                    beside[0, axis, upper] = lower if lower >= 0 else STILL
+            if lower >= 0:
+                above[axis, lower] = upper
+                if full[k]:
+                    beside[1, axis, lower] = upper if upper >= 0 else STILL
+    return below, above, beside
 
 
 @numba.njit(cache=True)

@@ -10,10 +10,10 @@ with f_0 and f_1 the fluxes through the lower and the upper face over the volume
 d(phi)/dt = f_0 - f_1 summed over the axes, so that the motion carries the fills of an interval into
 each other exactly, whatever the cells hold: no path leaves the bed, and a cut cell limits nothing.
 
-Within a cell the equation is solved exactly in the time tau, d(tau) = dt/phi: a path goes from
-face to face. Where all cells around are full the fluxes are those at the path's transverse place,
-f + sum over transverse axes b of shear_b (x_b - 1/2), with the mean of x_b on the way through the
-cell.
+Among full cells the fluxes are those at the path's transverse place, f + sum over transverse axes
+b of shear_b (x_b - 1/2), and a path takes steps of the classical Runge-Kutta method, of at most a
+cell. Everywhere else the equation is solved exactly, in the time tau, d(tau) = dt/phi, from face to
+face, with the mean of x_b on the way through the cell.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ import math
 import numba
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.api import BoolArray, FloatArray, IntArray
 
 _MOST = 100_000  # faces on a path
 _EMPTY = 1e-13  # fill fraction
+_TURN = 0.4  # greatest velocity gradient times a Runge-Kutta step
 
 
 def lattice(per_edge: int, dimension: int) -> FloatArray:
@@ -42,6 +43,7 @@ def follow(
     above: IntArray,
     flux: FloatArray,
     shear: FloatArray,
+    full: BoolArray,
     start: FloatArray,
     rate: FloatArray,
     sources: IntArray,
@@ -50,6 +52,7 @@ def follow(
 ) -> tuple[IntArray, FloatArray]:
     """Follow points of cells for a time (s); see the module.
 
+    full -- (m,) cells that are so all the time
     start, rate -- fill fraction at the beginning of the time and its change per second
     """
     dimension, count = flux.shape[0], points.shape[0]
@@ -57,6 +60,7 @@ def follow(
     places = np.empty((len(sources), count, dimension), dtype=np.float32)
     x, v, grows = np.empty(dimension), np.empty(dimension), np.empty(dimension)
     f0, f1 = np.empty(dimension), np.empty(dimension)
+    stages, at = np.empty((4, dimension)), np.empty(dimension)
     for n in range(len(sources)):
         for p in range(count):
             i, now = sources[n], 0.0
@@ -64,6 +68,15 @@ def follow(
                 x[a] = points[p, a]
             stuck = 0
             for _ in range(_MOST):
+                if full[i]:
+                    ahead, taken = _runge_kutta(
+                        i, x, duration - now, below, above, flux, shear, full, stages, at
+                    )
+                    if ahead >= 0:
+                        i, now = ahead, now + taken
+                        if now >= duration:
+                            break
+                        continue
                 phi = start[i] + rate[i] * now
                 last = start[i] + rate[i] * duration
                 left = duration - now
@@ -147,6 +160,77 @@ def follow(
             for a in range(dimension):
                 places[n, p, a] = x[a]
     return landed, places
+
+
+@numba.njit(inline="always")
+def _runge_kutta(i, x, left, below, above, flux, shear, full, stages, at):
+    """Move x, in cell i, by a step of at most `left` (s); returns the cell that it is in then.
+
+    And the step; -1, and x as it was, if the step would touch a cell that is not full.
+    """
+    dimension = len(x)
+    at[:] = x
+    if _velocity(i, at, below, above, flux, shear, full, stages[0]) < 0:
+        return -1, 0.0
+    fastest = 0.0
+    for a in range(dimension):
+        up = above[a, i]
+        growth = abs((flux[a, up] if up >= 0 else 0.0) - flux[a, i]) / _TURN
+        fastest = max(fastest, abs(stages[0, a]), growth)
+        for b in range(dimension):
+            fastest = max(fastest, abs(shear[a, b, i]) / _TURN)
+    dt = left if fastest * left <= 1.0 else 1.0 / fastest
+    for stage in range(1, 4):
+        ahead = dt if stage == 3 else 0.5 * dt
+        for a in range(dimension):
+            at[a] = x[a] + ahead * stages[stage - 1, a]
+        if _velocity(i, at, below, above, flux, shear, full, stages[stage]) < 0:
+            return -1, 0.0
+    for a in range(dimension):
+        slope = stages[0, a] + 2.0 * (stages[1, a] + stages[2, a]) + stages[3, a]
+        at[a] = x[a] + dt / 6.0 * slope
+    cell = _cell_of(i, at, below, above, full)
+    if cell >= 0:
+        x[:] = at
+    return cell, dt
+
+
+@numba.njit(inline="always")
+def _velocity(i, x, below, above, flux, shear, full, v):
+    """Put the velocity (cells/s) at x, counted from cell i, into v; x is counted from its own cell.
+
+    Returns that cell, or -1 if full cells do not lead there.
+    """
+    i = _cell_of(i, x, below, above, full)
+    if i < 0:
+        return i
+    dimension = len(x)
+    for a in range(dimension):
+        up = above[a, i]
+        low = flux[a, i]
+        high = flux[a, up] if up >= 0 else 0.0
+        for b in range(dimension):
+            if b != a:
+                low += shear[a, b, i] * (x[b] - 0.5)
+                if up >= 0:
+                    high += shear[a, b, up] * (x[b] - 0.5)
+        v[a] = low + (high - low) * x[a]
+    return i
+
+
+@numba.njit(inline="always")
+def _cell_of(i, x, below, above, full):
+    """The cell where x is, counted from cell i; x is counted from it then. -1 as `_velocity`."""
+    for a in range(len(x)):
+        while x[a] > 1.0 and i >= 0:
+            i = above[a, i]
+            x[a] -= 1.0
+        while x[a] < 0.0 and i >= 0:
+            i = below[a, i]
+            x[a] += 1.0
+    if i >= 0 and not full[i]:
+        return -1
+    return i
 
 
 @numba.njit(inline="always")

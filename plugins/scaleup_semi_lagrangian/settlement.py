@@ -2,7 +2,9 @@
 
 Sub-cells of finite size fill the cells to a few parts in a thousand. The rest R flows between
 neighbours, through the faces that are open: psi = difference of a potential, div psi = R, by
-conjugate gradients, and what these leave along a spanning tree, to round-off. Content goes with it
+conjugate gradients (preconditioned by the diagonal and the solution on blocks of cells, so that
+their number does not grow with the grid), and what these leave along a spanning tree, to round-off.
+Content goes with it
 at the concentration of the cell that it leaves,
 
     c_i (v_i + inflow_i) = m_i + sum over inflowing faces of psi c_upstream,
@@ -14,13 +16,18 @@ cell loses another gets.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import splu
 
 from scaleup.api import BoolArray, FloatArray, IntArray
 
-_TOLERANCE = 1e-7  # of the residual, in the mean; the tree takes the rest
+_TOLERANCE = 1e-4  # of the residual, in the mean; the tree takes the rest
+_BLOCKS = 6000  # at most: one more solve of a sparse system of that size per iteration
+_GROUND = 1e-8  # conductance from each block, which makes the blocks' system regular
 _MOST = 500  # iterations
 _SETTLED = 1e-15  # change of a concentration in a sweep
 _SWEEPS = 50
@@ -37,50 +44,102 @@ class Settlement:
     order: IntArray
 
 
-def settle(below: IntArray, above: IntArray, laid: FloatArray, fill: FloatArray) -> Settlement:
-    """From the laid volumes to the fills, both (m,) and fractions of a cell's volume."""
+def settle(
+    below: IntArray, above: IntArray, coordinates: IntArray, laid: FloatArray, fill: FloatArray
+) -> Settlement:
+    """From the laid volumes to the fills, both (m,) and fractions of a cell's volume.
+
+    coordinates -- (m, dimension) whole numbers of the cells along the axes
+    """
     excess = laid - fill
-    potential = _potential(below, above, excess)
+    potential = _potential(below, above, coordinates, excess)
     flux = _fluxes(below, potential)
     _along_tree(below, above, excess, flux)
     return Settlement(flux, np.argsort(-potential, kind="stable").astype(np.int32))
 
 
-@numba.njit(cache=True)
-def _potential(below: IntArray, above: IntArray, excess: FloatArray) -> FloatArray:
-    """Solve sum over neighbours of (p_i - p_neighbour) = excess_i; Jacobi-preconditioned."""
-    dimension, m = below.shape
-    degree = np.zeros(m)
-    for axis in range(dimension):
-        for i in range(m):
-            degree[i] += (below[axis, i] >= 0) + (above[axis, i] >= 0)
-    x, r = np.zeros(m), excess.copy()
-    z = np.where(degree > 0, r / np.maximum(degree, 1.0), 0.0)
-    p, q = z.copy(), np.empty(m)
-    rz = (r * z).sum()
-    goal = _TOLERANCE**2 * rz
+def _potential(
+    below: IntArray, above: IntArray, coordinates: IntArray, excess: FloatArray
+) -> FloatArray:
+    """Solve sum over neighbours of (p_i - p_neighbour) = excess_i."""
+    block, blocks = _blocks(below, coordinates)
+    coarse = splu(blocks, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    degree = ((below >= 0).sum(axis=0) + (above >= 0).sum(axis=0)).astype(float)
+    count = blocks.shape[0]
+
+    def conditioned(residual: FloatArray) -> FloatArray:
+        sums = np.bincount(block, residual, count)
+        return np.asarray(coarse.solve(sums)[block] + residual / np.maximum(degree, 1.0))
+
+    x, r = np.zeros(len(excess)), np.where(degree > 0.0, excess, 0.0)
+    goal = _TOLERANCE**2 * (r @ r)
+    p = z = conditioned(r)
+    rz = r @ z
     for _ in range(_MOST):
-        if rz <= goal or rz == 0.0:
+        if r @ r <= goal or rz == 0.0:
             break
-        for i in range(m):
-            total = degree[i] * p[i]
-            for axis in range(dimension):
-                j, k = below[axis, i], above[axis, i]
-                if j >= 0:
-                    total -= p[j]
-                if k >= 0:
-                    total -= p[k]
-            q[i] = total
-        step = rz / (p * q).sum()
+        q = _differences(below, above, degree, p)
+        step = rz / (p @ q)
         x += step * p
         r -= step * q
-        before, rz = rz, 0.0
-        for i in range(m):
-            z[i] = r[i] / degree[i] if degree[i] > 0 else 0.0
-            rz += r[i] * z[i]
-        p *= rz / before
-        p += z
+        z = conditioned(r)
+        before, rz = rz, r @ z
+        p = z + (rz / before) * p
     return x
+
+
+def _blocks(below: IntArray, coordinates: IntArray) -> tuple[IntArray, Any]:
+    """The block of each cell (m,), and the matrix of the above for the sums over blocks."""
+    dimension = coordinates.shape[1]
+    edge = 4
+    low = coordinates.min(axis=0)
+    while True:
+        shape = tuple((coordinates.max(axis=0) - low) // edge + 1)
+        flat = np.ravel_multi_index(tuple(((coordinates - low) // edge).T), shape)
+        used = np.zeros(int(np.prod(shape)), dtype=bool)
+        used[flat] = True
+        count = int(used.sum())
+        if count <= _BLOCKS:
+            break
+        edge += 1
+    block = (np.cumsum(used) - 1)[flat]
+    rows, columns = [], []
+    for axis in range(dimension):
+        upper = np.flatnonzero(below[axis] >= 0)
+        lower = below[axis, upper]
+        apart = block[upper] != block[lower]
+        rows.append(block[upper[apart]])
+        columns.append(block[lower[apart]])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    ends = np.concatenate([row, column])
+    diagonal = np.bincount(ends, minlength=count) + _GROUND
+    matrix = coo_matrix(
+        (
+            np.concatenate([-np.ones(len(ends)), diagonal]),
+            (
+                np.concatenate([ends, np.arange(count)]),
+                np.concatenate([column, row, np.arange(count)]),
+            ),
+        ),
+        shape=(count, count),
+    )
+    return block, matrix.tocsc()
+
+
+@numba.njit(cache=True)
+def _differences(below: IntArray, above: IntArray, degree: FloatArray, p: FloatArray) -> FloatArray:
+    dimension, m = below.shape
+    q = np.empty(m)
+    for i in range(m):
+        total = degree[i] * p[i]
+        for axis in range(dimension):
+            j, k = below[axis, i], above[axis, i]
+            if j >= 0:
+                total -= p[j]
+            if k >= 0:
+                total -= p[k]
+        q[i] = total
+    return q
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,170 @@
+"""Where the sub-cells of a cell end, from the paths of as few points as will do.
+
+Among full cells the motion is smooth, and the path of each cell's middle tells where its sub-cells
+end: at X + J o + 1/2 sum over axes a of X_aa o_a^2, for a sub-cell at o from the middle, with first
+and second differences of the ends X of the neighbouring middles (one-sided where a neighbour is
+missing; a neighbour that does not move ends where it began). What would lie beyond a closed face is
+put on it. The other cells, and those whose Jacobian is not that of a smooth motion that keeps
+volume, have a path traced for each sub-cell.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from scaleup.api import BoolArray, FloatArray, Grid, IntArray
+from scaleup_semi_lagrangian.moving_cells import STILL, MovingCells
+from scaleup_semi_lagrangian.paths import follow
+
+_CHANGE = 0.3  # of a volume, at most, by a Jacobian that is believed
+_MIDDLE = np.array([0.5137, 0.4789, 0.5173])  # off symmetry, where paths run into edges of cells
+
+
+def ends_of_subcells(
+    grid: Grid,
+    moving: MovingCells,
+    fills: tuple[FloatArray, FloatArray],
+    duration: float,
+    sources: IntArray,
+    points: FloatArray,
+) -> tuple[IntArray, FloatArray]:
+    """Moving cells (s, sub-cells) in which they end and places there (s, sub-cells, dimension).
+
+    fills   -- fill fractions of the moving cells at the beginning and the end, each (m,)
+    duration -- s
+    sources -- the moving cells whose sub-cells are wanted, (s,)
+    points  -- (sub-cells, dimension) their middles in the unit cell
+    """
+    start, end = fills
+    motion = (
+        moving.below, moving.above, moving.flux, moving.shear, moving.full, start,
+        (end - start) / duration,
+    )  # fmt: skip
+    smooth = moving.full & (moving.beside != -1).any(axis=0).all(axis=0)
+    candidates = np.flatnonzero(smooth[sources])
+    wanted = _with_neighbours(moving.beside, smooth, sources[candidates])
+    middle = _MIDDLE[: grid.dimension]
+    landed_middle, place_middle = follow(*motion, wanted, middle[None], duration)
+    number = np.full(len(start), -1, dtype=np.int32)
+    number[wanted] = np.arange(len(wanted), dtype=np.int32)
+
+    landed = np.empty((len(sources), len(points)), dtype=np.int32)
+    places = np.empty((len(sources), len(points), grid.dimension), dtype=np.float32)
+    known = np.zeros(len(sources), dtype=bool)
+    _spread(
+        landed, places, known, candidates, sources, points, middle, number, landed_middle[:, 0],
+        place_middle[:, 0], moving.coordinates(grid), np.array(grid.counts), grid.periodic,
+        moving.below, moving.above, moving.beside, end > 0.0,
+    )  # fmt: skip
+    rest = np.flatnonzero(~known)
+    landed[rest], places[rest] = follow(*motion, sources[rest], points, duration)
+    return landed, places
+
+
+@numba.njit(cache=True)
+def _with_neighbours(beside: IntArray, smooth: BoolArray, cells: IntArray) -> IntArray:
+    """The cells, and their neighbours that move, ascending."""
+    wanted = np.zeros(beside.shape[2], dtype=np.bool_)
+    for cell in cells:
+        wanted[cell] = True
+        for side in range(2):
+            for axis in range(beside.shape[1]):
+                if beside[side, axis, cell] >= 0:
+                    wanted[beside[side, axis, cell]] = True
+    return np.flatnonzero(wanted).astype(np.int32)
+
+
+@numba.njit(cache=True)
+def _spread(
+    landed: IntArray,
+    places: FloatArray,
+    known: BoolArray,
+    candidates: IntArray,
+    sources: IntArray,
+    points: FloatArray,
+    middle: FloatArray,
+    number: IntArray,
+    landed_middle: IntArray,
+    place_middle: FloatArray,
+    coordinates: IntArray,
+    counts: IntArray,
+    periodic: bool,
+    below: IntArray,
+    above: IntArray,
+    beside: IntArray,
+    holds: BoolArray,
+) -> None:
+    """Fill `landed` and `places` for the candidates whose Jacobian is believed; `known` says which.
+
+    candidates -- places in `sources`
+    number  -- (m,) place of each moving cell among those whose middle was traced
+    """
+    dimension = points.shape[1]
+    jacobian, curve = np.empty((dimension, dimension)), np.empty((dimension, dimension))
+    x, low, high = np.empty(dimension), np.empty(dimension), np.empty(dimension)
+    y = np.empty(dimension)
+    for n in candidates:
+        i = sources[n]
+        at = landed_middle[number[i]]
+        for a in range(dimension):
+            x[a] = coordinates[at, a] + place_middle[number[i], a]
+        for b in range(dimension):
+            for side in range(2):
+                end = low if side == 0 else high
+                j = beside[side, b, i]
+                if j >= 0:
+                    there = landed_middle[number[j]]
+                    for a in range(dimension):
+                        end[a] = coordinates[there, a] + place_middle[number[j], a] - x[a]
+                        if periodic:
+                            end[a] -= counts[a] * np.rint(end[a] / counts[a])
+                elif j == STILL:
+                    for a in range(dimension):
+                        end[a] = coordinates[i, a] + middle[a] - x[a]
+                    end[b] += 2 * side - 1
+            none_below, none_above = beside[0, b, i] == -1, beside[1, b, i] == -1
+            for a in range(dimension):
+                if none_below:
+                    jacobian[a, b], curve[a, b] = high[a], 0.0
+                elif none_above:
+                    jacobian[a, b], curve[a, b] = -low[a], 0.0
+                else:
+                    jacobian[a, b] = 0.5 * (high[a] - low[a])
+                    curve[a, b] = high[a] + low[a]
+        if not abs(_determinant(jacobian) - 1.0) < _CHANGE:
+            continue
+        known[n] = True
+        for p in range(len(points)):
+            cell = at
+            for a in range(dimension):
+                y[a] = place_middle[number[i], a]
+                for b in range(dimension):
+                    o = points[p, b] - middle[b]
+                    y[a] += (jacobian[a, b] + 0.5 * curve[a, b] * o) * o
+                while y[a] > 1.0:
+                    beyond = above[a, cell]
+                    if beyond < 0 or not holds[beyond]:
+                        y[a] = 1.0
+                        break
+                    cell, y[a] = beyond, y[a] - 1.0
+                while y[a] < 0.0:
+                    beyond = below[a, cell]
+                    if beyond < 0 or not holds[beyond]:
+                        y[a] = 0.0
+                        break
+                    cell, y[a] = beyond, y[a] + 1.0
+            landed[n, p] = cell
+            for a in range(dimension):
+                places[n, p, a] = y[a]
+
+
+@numba.njit(inline="always")
+def _determinant(m):
+    if m.shape[0] == 2:
+        return m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    total = 0.0
+    for a in range(3):
+        b, e = (a + 1) % 3, (a + 2) % 3
+        total += m[0, a] * (m[1, b] * m[2, e] - m[1, e] * m[2, b])
+    return total
