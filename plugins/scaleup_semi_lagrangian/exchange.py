@@ -26,93 +26,127 @@ _FLIPS = 100
 
 
 class Exchange:
-    """The pairs of an interval in a rank's local arrays.
+    """The pairs of an interval in a rank's local arrays: each cell's with those at +-e.
 
-    first, second -- positions in flattened local arrays; weight -- 1/s
     reach -- greatest whole number in a vector, along any axis
     """
 
     def __init__(
         self, tensor: FloatArray, spacing: tuple[float, ...], position: IntArray,
-        strides: tuple[int, ...],
+        strides: tuple[int, ...], owned: BoolArray,
     ):  # fmt: skip
-        """`tensor` (d, d, n) in m^2/s of the cells at `position` in local arrays, ghosts too."""
+        """Exchanges of the cells at `position` in flattened local arrays, ghosts too.
+
+        tensor -- (d, d, n), m^2/s; owned -- flags of all local cells
+        """
         active = np.flatnonzero(tensor[range(len(strides)), range(len(strides))].max(axis=0) > 0)
         h = np.array(spacing)
         scaled = tensor[:, :, active] / np.multiply.outer(h, h)[:, :, None]
         vectors, weights = _decompose(np.ascontiguousarray(scaled))
         used = weights > 0.0
         self.reach = int(np.abs(vectors[:, used]).max()) if used.any() else 0
-        offsets = np.tensordot(np.array(strides), vectors, axes=1)  # (vectors, n)
-        here = np.broadcast_to(position[active], offsets.shape)[used]
-        there = offsets[used]
-        half = 0.5 * weights[used]
-        self.first = np.concatenate([here, here]).astype(np.int32)
-        self.second = np.concatenate([here + there, here - there]).astype(np.int32)
-        self.weight = np.concatenate([half, half])
+        # single precision is enough for rates: what one cell loses the other gets, to round-off
+        self._weight = np.ascontiguousarray(weights.T, dtype=np.float32)
+        along = np.tensordot(np.array(strides), vectors, axes=1)
+        self._along = np.ascontiguousarray(along.T, dtype=np.int32)
+        self._cell = position[active].astype(np.int32)
+        self._touched = _touched(self._cell, self._along, self._weight, owned)
+        self._fastest: dict[float, float] = {}
+
+    def fastest(
+        self, time: float, fraction: FloatArray, largest: Callable[[float], float]
+    ) -> float:
+        """What the cell that loses fastest gives over what it holds, on any rank, 1/s; collective.
+
+        With the fill fractions (in local arrays) of a time, known from then on.
+        """
+        if time not in self._fastest:
+            loss = np.zeros(len(fraction))
+            _add_losses(loss, self._cell, self._along, self._weight, fraction)
+            here = self._touched[fraction[self._touched] > _LEAST]
+            rates = loss[here] / fraction[here]
+            self._fastest[time] = largest(float(rates.max(initial=0.0)))
+        return self._fastest[time]
+
+    def step(self, c: FloatArray, gain: FloatArray, fraction: FloatArray, dt: float) -> None:
+        """A step (s) of c (components, cells) on the owned cells; `gain` is work space."""
+        _step(c, gain, self._cell, self._along, self._weight, fraction, self._touched, dt)
+
+    @property
+    def bytes(self) -> int:
+        """Memory held."""
+        held = (self._weight, self._along, self._cell, self._touched)
+        return sum(array.nbytes for array in held)
 
 
-class Pairs:
-    """The pairs of an `Exchange` that hold material at a time, with an owned cell among the two.
+def steps(duration: float, fastest: float) -> int:
+    """How many equal steps a time (s) takes."""
+    return max(1, int(np.ceil(duration * fastest / _SHARE)))
 
-    fastest -- 1/s, what the cell that loses fastest gives over what it holds, on any rank
-    """
 
-    def __init__(
-        self,
-        exchange: Exchange,
-        fraction: FloatArray,
-        owned: BoolArray,
-        largest: Callable[[float], float],
-    ):
-        """Collective. `fraction`: fill fractions, `owned`: flags, in flattened local arrays."""
-        a, b, weight = exchange.first, exchange.second, exchange.weight
-        here = (b >= 0) & (b < len(owned))  # ghosts exchange with cells beyond the local arrays too
-        a, b, weight = a[here], b[here], weight[here]
-        both = np.minimum(fraction[a], fraction[b])
-        kept = (both > _LEAST) & (owned[a] | owned[b])
-        self._first, self._second = a[kept], b[kept]
-        self._conductance = weight[kept] * both[kept]
-        loss = sum(
-            np.bincount(end, self._conductance, len(fraction))
-            for end in (self._first, self._second)
-        )
-        self._fraction = fraction
-        self._owned = np.flatnonzero(owned & (fraction > _LEAST) & (loss > 0.0))
-        rates = (loss / np.maximum(fraction, _LEAST))[self._owned]
-        self.fastest = largest(float(rates.max(initial=0.0)))
+@numba.njit(cache=True)
+def _touched(cell: IntArray, along: IntArray, weight: FloatArray, owned: BoolArray) -> IntArray:
+    """Positions of the owned cells that exchange with any, ascending."""
+    flags = np.zeros(len(owned), dtype=np.bool_)
+    for n in range(len(cell)):
+        for e in range(weight.shape[1]):
+            if weight[n, e] == 0.0:
+                continue
+            for side in range(-1, 2):
+                other = cell[n] + side * along[n, e]
+                if 0 <= other < len(owned) and owned[other]:
+                    flags[other] = True
+    return np.flatnonzero(flags).astype(np.int32)
 
-    def steps(self, duration: float) -> int:
-        """How many equal steps a time (s) takes."""
-        return max(1, int(np.ceil(duration * self.fastest / _SHARE)))
 
-    def step(self, c: FloatArray, gain: FloatArray, dt: float) -> None:
-        """One step (s) of c (components, cells) on the owned cells; `gain` is work space."""
-        _step(
-            c, gain, self._first, self._second, self._conductance, self._fraction, self._owned, dt
-        )
+@numba.njit(cache=True)
+def _add_losses(
+    loss: FloatArray, cell: IntArray, along: IntArray, weight: FloatArray, fraction: FloatArray
+) -> None:
+    for n in range(len(cell)):
+        i = cell[n]
+        if fraction[i] <= _LEAST:
+            continue
+        for e in range(weight.shape[1]):
+            if weight[n, e] == 0.0:
+                continue
+            for j in (i + along[n, e], i - along[n, e]):
+                # ghosts exchange with cells beyond the local arrays too
+                if 0 <= j < len(fraction) and fraction[j] > _LEAST:
+                    conductance = 0.5 * weight[n, e] * min(fraction[i], fraction[j])
+                    loss[i] += conductance
+                    loss[j] += conductance
 
 
 @numba.njit(cache=True)
 def _step(
     c: FloatArray,
     gain: FloatArray,
-    first: IntArray,
-    second: IntArray,
-    conductance: FloatArray,
+    cell: IntArray,
+    along: IntArray,
+    weight: FloatArray,
     fraction: FloatArray,
-    owned: IntArray,
+    touched: IntArray,
     dt: float,
 ) -> None:
     for q in range(c.shape[0]):
-        gain[owned] = 0.0
-        for n in range(len(first)):
-            i, j = first[n], second[n]
-            moved = dt * conductance[n] * (c[q, j] - c[q, i])
-            gain[i] += moved
-            gain[j] -= moved
-        for i in owned:
-            c[q, i] += gain[i] / fraction[i]
+        gain[touched] = 0.0
+        for n in range(len(cell)):
+            i = cell[n]
+            if fraction[i] <= _LEAST:
+                continue
+            for e in range(weight.shape[1]):
+                if weight[n, e] == 0.0:
+                    continue
+                for j in (i + along[n, e], i - along[n, e]):
+                    if 0 <= j < len(fraction) and fraction[j] > _LEAST:
+                        conductance = 0.5 * weight[n, e] * min(fraction[i], fraction[j])
+                        moved = dt * conductance * (c[q, j] - c[q, i])
+                        gain[i] += moved
+                        gain[j] -= moved
+        for i in touched:
+            if fraction[i] > _LEAST:
+                c[q, i] += gain[i] / fraction[i]
 
 
 @numba.njit(cache=True)

@@ -13,7 +13,6 @@ own as positivity asks for. Steps are limited for accuracy alone (`MovingCells.g
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,8 +26,9 @@ from scaleup.api import (
     spread_outwards,
 )
 from scaleup_semi_lagrangian.carriage import Carriage, strides_of
-from scaleup_semi_lagrangian.exchange import Exchange, Pairs
-from scaleup_semi_lagrangian.moving_cells import find_moving
+from scaleup_semi_lagrangian.exchange import Exchange, steps
+from scaleup_semi_lagrangian.kept import Kept
+from scaleup_semi_lagrangian.moving_cells import MovingCells, find_moving
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian import SemiLagrangian
@@ -52,9 +52,8 @@ class Transport:
         self._owned = np.zeros(self._field.flat.shape[1], dtype=bool)
         self._owned.reshape(self._split.local_shape)[self._split.owned] = True
         self._gain = np.zeros(len(self._owned))
-        self._held = 0  # bytes of them
-        self._carriages: OrderedDict[tuple[int, float, float], Carriage] = OrderedDict()
-        self._kept: tuple[tuple[int, float], Pairs] | None = None
+        self._kept = Kept(options.memory * 1e9, self._split.largest)
+        self._pace: dict[int, tuple[float, int]] = {}  # longest step (s) and moving cells
         self._per_edge = options.subcells or (4 if self._grid.dimension == 2 else 2)
         self._enter(index)
         active = self._interval.cells
@@ -65,33 +64,44 @@ class Transport:
     def _enter(self, index: int) -> None:
         """Take up an interval: what moves in it, and who exchanges."""
         self._index = index
-        interval = self._interval = self._scene.flow.intervals[index]
-        self._moving = find_moving(self._grid, interval)
-        self._placing = self._split.placing(interval.cells)
+        self._interval = self._scene.flow.intervals[index]
+        self._placing = self._split.placing(self._interval.cells)
+        self._moving: MovingCells | None = None
+        self._filled: tuple[float, FloatArray] | None = None
+        self._exchange = self._kept.get(("exchange", index), self._find_exchange)
+        if index not in self._pace:
+            moving = self._find_moving()
+            longest = self._options.deformation / max(moving.greatest_gradient(), 1e-300)
+            self._pace[index] = longest, len(moving.cells)
+
+    def _find_moving(self) -> MovingCells:
+        """The interval's moving cells; looked for where a carriage is built only."""
+        if self._moving is None:
+            self._moving = find_moving(self._grid, self._interval)
+        return self._moving
+
+    def _find_exchange(self) -> Exchange:
         here = self._placing.place >= 0
-        self._exchange = Exchange(
-            self._scene.tensor(interval)[:, :, here],
-            self._grid.spacing,
-            self._placing.place[here],
-            strides_of(self._split),
-        )
-        if self._exchange.reach > self._split.halo:
+        exchange = Exchange(
+            self._scene.tensor(self._interval)[:, :, here], self._grid.spacing,
+            self._placing.place[here], strides_of(self._split), self._owned,
+        )  # fmt: skip
+        if exchange.reach > self._split.halo:
             raise InputError(
                 "mixing.name = 'semi-lagrangian': the diffusion tensor is too anisotropic "
-                f"(its exchanges reach {self._exchange.reach} cells, at most {self._split.halo})"
+                f"(its exchanges reach {exchange.reach} cells, at most {self._split.halo})"
             )
-        self._longest = self._options.deformation / max(self._moving.greatest_gradient(), 1e-300)
+        return exchange
 
     def advance(self, index: int, start: float, end: float) -> Ledger:
         """Equal steps (collective)."""
         if index != self._index:
             self._enter(index)
-        longest = self._options.time_step or self._longest
+        longest, moving = self._pace[index]
+        longest = self._options.time_step or longest
         count = max(1, math.ceil((end - start) / longest - 1e-6))
         dt = (end - start) / count
-        ledger = Ledger(
-            steps=count, cell_updates=count * len(self._moving.cells) * len(self._field.flat)
-        )
+        ledger = Ledger(steps=count, cell_updates=count * moving * len(self._field.flat))
         for number in range(count):
             self._step(start + number * dt, start + (number + 1) * dt, ledger)
         self._now = end
@@ -99,7 +109,7 @@ class Transport:
 
     def _step(self, start: float, end: float, ledger: Ledger) -> None:
         self._diffuse(start, 0.5 * (end - start))
-        if len(self._moving.cells):
+        if self._pace[self._index][1]:
             carriage = self._carriage(start, end)
             low, high = carriage.apply(self._field.flat)
             ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
@@ -108,22 +118,20 @@ class Transport:
     def _carriage(self, start: float, end: float) -> Carriage:
         """The carriage of a step: kept, or built."""
         interval, steady = self._interval, self._lasts
-        key = (self._index, 0.0 if steady else round(start, 9), round(end - start, 9))
-        if key not in self._carriages:
-            share = (
-                (0.0, 1.0) if steady
-                else tuple((t - interval.start) / interval.duration for t in (start, end))
-            )  # fmt: skip
+        share = (
+            (0.0, 1.0) if steady
+            else tuple((t - interval.start) / interval.duration for t in (start, end))
+        )  # fmt: skip
+
+        def build() -> Carriage:
             material = self._fraction(start) > _EMPTY
-            carriage = Carriage(
-                self._grid, self._split, self._moving, material, share, end - start, self._per_edge
-            )
-            self._held += carriage.bytes
-            while self._carriages and self._held > self._options.memory * 1e9:
-                # a periodic flow comes back to the oldest first: the newest kept one goes
-                self._held -= self._carriages.popitem(last=True)[1].bytes
-            self._carriages[key] = carriage
-        return self._carriages[key]
+            return Carriage(
+                self._grid, self._split, self._find_moving(), material, share, end - start,
+                self._per_edge,
+            )  # fmt: skip
+
+        begin = 0.0 if steady else round(start, 9)
+        return self._kept.get(("carriage", self._index, begin, round(end - start, 9)), build)
 
     @property
     def _lasts(self) -> bool:
@@ -132,28 +140,24 @@ class Transport:
         return flow.steady and self._index == flow.prefix
 
     def _fraction(self, time: float) -> FloatArray:
-        """Fill fraction in local arrays at a time of the interval, s."""
-        interval = self._interval
-        fill = interval.fill_start if self._lasts else interval.fill(time)
-        return self._placing.local(fill / self._grid.cell_volume)
+        """Fill fraction in local arrays at a time of the interval, s; the last one is kept."""
+        interval, time = self._interval, 0.0 if self._lasts else time
+        if self._filled is None or self._filled[0] != time:
+            fill = interval.fill_start if self._lasts else interval.fill(time)
+            self._filled = time, self._placing.local(fill / self._grid.cell_volume)
+        return self._filled[1]
 
     def _diffuse(self, time: float, duration: float) -> None:
         """Exchange over a duration (s) with the fills at a time; collective."""
-        pairs = self._pairs(time)
-        if pairs.fastest == 0.0:
+        fraction = self._fraction(time)
+        time = 0.0 if self._lasts else round(time, 9)
+        fastest = self._exchange.fastest(time, fraction, self._split.largest)
+        if fastest == 0.0:
             return
-        count = pairs.steps(duration)
+        count = steps(duration, fastest)
         for _ in range(count):
-            pairs.step(self._field.flat, self._gain, duration / count)
+            self._exchange.step(self._field.flat, self._gain, fraction, duration / count)
             self._field.exchange()
-
-    def _pairs(self, time: float) -> Pairs:
-        """Who exchanges with the fills at a time; those asked for last are kept."""
-        key = (self._index, 0.0 if self._lasts else time)
-        if self._kept is None or self._kept[0] != key:
-            pairs = Pairs(self._exchange, self._fraction(time), self._owned, self._split.largest)
-            self._kept = key, pairs
-        return self._kept[1]
 
     def concentration(self, interval: Interval) -> FloatArray:
         """(components, n) on an interval's cells, on every rank; sums to 1 (collective)."""
