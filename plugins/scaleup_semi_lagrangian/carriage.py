@@ -16,7 +16,7 @@ from scaleup_semi_lagrangian.middles import ends_of_subcells
 from scaleup_semi_lagrangian.moving_cells import MovingCells
 
 _EMPTY = 1e-13  # fill fraction
-_ROUNDS = 6  # of balancing
+_ROUNDS = 3  # of balancing
 _MOST_CHANGE = 2.0  # of a factor in a round
 
 

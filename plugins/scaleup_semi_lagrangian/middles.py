@@ -1,11 +1,12 @@
 """Where the sub-cells of a cell end, from the paths of as few points as will do.
 
-Among full cells the motion is smooth, and the path of each cell's middle tells where its sub-cells
-end: at X + J o + 1/2 sum over axes a of X_aa o_a^2, for a sub-cell at o from the middle, with first
-and second differences of the ends X of the neighbouring middles (one-sided where a neighbour is
-missing; a neighbour that does not move ends where it began). What would lie beyond a closed face is
-put on it. The other cells, and those whose Jacobian is not that of a smooth motion that keeps
-volume, have a path traced for each sub-cell.
+The path of each cell's middle tells where its sub-cells end: at X + J o + 1/2 sum over axes a of
+X_aa o_a^2, for a sub-cell at o from the middle, with first and second differences of the ends X of
+the neighbouring middles. They are one-sided where a neighbour is missing, holds little, or is cut
+and the cell is not; a neighbour that does not move ends where it began. What would lie beyond a
+closed face is put on it. Where det J is not the ratio of the fills at both ends, the motion is not
+smooth, and a path is traced for each sub-cell; in the plane, where they are few, for those of all
+cut cells.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from scaleup.api import BoolArray, FloatArray, Grid, IntArray
 from scaleup_semi_lagrangian.moving_cells import STILL, MovingCells
 from scaleup_semi_lagrangian.paths import follow
 
-_CHANGE = 0.3  # of a volume, at most, by a Jacobian that is believed
+_CHANGE = 0.5  # of a volume, at most, by a Jacobian that is believed
+_LITTLE = 0.1  # fill fraction, below which a neighbour says nothing
 _MIDDLE = np.array([0.5137, 0.4789, 0.5173])  # off symmetry, where paths run into edges of cells
 
 
@@ -41,9 +43,11 @@ def ends_of_subcells(
         moving.below, moving.above, moving.flux, moving.shear, moving.full, start,
         (end - start) / duration,
     )  # fmt: skip
-    smooth = moving.full & (moving.beside != -1).any(axis=0).all(axis=0)
+    cut_too = grid.dimension == 3
+    usable = _usable(moving.beside, moving.full, start, cut_too)
+    smooth = (usable != -1).any(axis=0).all(axis=0) & (moving.full | cut_too)
     candidates = np.flatnonzero(smooth[sources])
-    wanted = _with_neighbours(moving.beside, smooth, sources[candidates])
+    wanted = _with_neighbours(usable, sources[candidates])
     middle = _MIDDLE[: grid.dimension]
     landed_middle, place_middle = follow(*motion, wanted, middle[None], duration)
     number = np.full(len(start), -1, dtype=np.int32)
@@ -55,7 +59,7 @@ def ends_of_subcells(
     _spread(
         landed, places, known, candidates, sources, points, middle, number, landed_middle[:, 0],
         place_middle[:, 0], moving.coordinates(grid), np.array(grid.counts), grid.periodic,
-        moving.below, moving.above, moving.beside, end > 0.0,
+        moving.below, moving.above, usable, start, end,
     )  # fmt: skip
     rest = np.flatnonzero(~known)
     landed[rest], places[rest] = follow(*motion, sources[rest], points, duration)
@@ -63,7 +67,23 @@ def ends_of_subcells(
 
 
 @numba.njit(cache=True)
-def _with_neighbours(beside: IntArray, smooth: BoolArray, cells: IntArray) -> IntArray:
+def _usable(beside: IntArray, full: BoolArray, start: FloatArray, cut_too: bool) -> IntArray:
+    """`beside`, but -1 for the neighbours from which no difference is taken."""
+    usable = beside.copy()
+    for axis in range(beside.shape[1]):
+        for i in range(beside.shape[2]):
+            low, high = beside[0, axis, i], beside[1, axis, i]
+            for side, j, other in ((0, low, high), (1, high, low)):
+                if j < 0:
+                    continue
+                better = other == STILL or (other >= 0 and full[other])
+                if not full[j] and (not cut_too or start[j] < _LITTLE or (full[i] and better)):
+                    usable[side, axis, i] = -1
+    return usable
+
+
+@numba.njit(cache=True)
+def _with_neighbours(beside: IntArray, cells: IntArray) -> IntArray:
     """The cells, and their neighbours that move, ascending."""
     wanted = np.zeros(beside.shape[2], dtype=np.bool_)
     for cell in cells:
@@ -93,7 +113,8 @@ def _spread(
     below: IntArray,
     above: IntArray,
     beside: IntArray,
-    holds: BoolArray,
+    start: FloatArray,
+    end: FloatArray,
 ) -> None:
     """Fill `landed` and `places` for the candidates whose Jacobian is believed; `known` says which.
 
@@ -102,7 +123,9 @@ def _spread(
     """
     dimension = points.shape[1]
     jacobian, curve = np.empty((dimension, dimension)), np.empty((dimension, dimension))
-    x, low, high = np.empty(dimension), np.empty(dimension), np.empty(dimension)
+    x = np.empty(dimension)
+    ends = np.empty((2, dimension))
+    low, high = ends[0], ends[1]
     y = np.empty(dimension)
     for n in candidates:
         i = sources[n]
@@ -111,18 +134,18 @@ def _spread(
             x[a] = coordinates[at, a] + place_middle[number[i], a]
         for b in range(dimension):
             for side in range(2):
-                end = low if side == 0 else high
+                reached = ends[side]
                 j = beside[side, b, i]
                 if j >= 0:
                     there = landed_middle[number[j]]
                     for a in range(dimension):
-                        end[a] = coordinates[there, a] + place_middle[number[j], a] - x[a]
+                        reached[a] = coordinates[there, a] + place_middle[number[j], a] - x[a]
                         if periodic:
-                            end[a] -= counts[a] * np.rint(end[a] / counts[a])
+                            reached[a] -= counts[a] * np.rint(reached[a] / counts[a])
                 elif j == STILL:
                     for a in range(dimension):
-                        end[a] = coordinates[i, a] + middle[a] - x[a]
-                    end[b] += 2 * side - 1
+                        reached[a] = coordinates[i, a] + middle[a] - x[a]
+                    reached[b] += 2 * side - 1
             none_below, none_above = beside[0, b, i] == -1, beside[1, b, i] == -1
             for a in range(dimension):
                 if none_below:
@@ -132,7 +155,7 @@ def _spread(
                 else:
                     jacobian[a, b] = 0.5 * (high[a] - low[a])
                     curve[a, b] = high[a] + low[a]
-        if not abs(_determinant(jacobian) - 1.0) < _CHANGE:
+        if not abs(_determinant(jacobian) * end[at] / start[i] - 1.0) < _CHANGE:
             continue
         known[n] = True
         for p in range(len(points)):
@@ -144,13 +167,13 @@ def _spread(
                     y[a] += (jacobian[a, b] + 0.5 * curve[a, b] * o) * o
                 while y[a] > 1.0:
                     beyond = above[a, cell]
-                    if beyond < 0 or not holds[beyond]:
+                    if beyond < 0 or end[beyond] <= 0.0:
                         y[a] = 1.0
                         break
                     cell, y[a] = beyond, y[a] - 1.0
                 while y[a] < 0.0:
                     beyond = below[a, cell]
-                    if beyond < 0 or not holds[beyond]:
+                    if beyond < 0 or end[beyond] <= 0.0:
                         y[a] = 0.0
                         break
                     cell, y[a] = beyond, y[a] + 1.0

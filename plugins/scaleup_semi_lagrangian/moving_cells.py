@@ -23,8 +23,8 @@ class MovingCells:
     where -- their places in the interval's list of active cells, (m,)
     below, above -- (dimension, m) places in this list of the neighbours along each axis, or -1
              where nothing goes through any part of the face between
-    beside -- (2, dimension, m) places of the neighbours below and above, whatever passes between,
-             that are full; `STILL` where such a one does not move, -1 where there is none
+    beside -- (2, dimension, m) places of the neighbours below and above, whatever passes between;
+             `STILL` where one does not move but is full, -1 where there is none
     flux  -- (dimension, m) through the lower faces over the volume of a cell, 1/s
     shear -- (dimension, dimension, m): [a, b] is half the difference between the flux through the
              lower face normal to a of the cell above along b and of the cell below, 1/s; 0 unless
@@ -113,12 +113,10 @@ def _neighbours(
             upper, lower = number[k], number[j]
             if upper >= 0:
                 below[axis, upper] = lower
-                if full[j]:
-                    beside[0, axis, upper] = lower if lower >= 0 else STILL
+                beside[0, axis, upper] = STILL if lower < 0 and full[j] else lower
             if lower >= 0:
                 above[axis, lower] = upper
-                if full[k]:
-                    beside[1, axis, lower] = upper if upper >= 0 else STILL
+                beside[1, axis, lower] = STILL if upper < 0 and full[k] else upper
     return below, above, beside
 
 
