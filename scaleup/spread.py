@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from scaleup.grid import BoolArray, FloatArray, Grid, IntArray
@@ -16,30 +17,63 @@ def spread_outwards(
     in 3-D). Wanted cells are filled first; cells between them and the known ones only if there is
     no other way. Zero if nothing is known. Cells are flat grid indices.
     """
-    have = _padded(grid, known, np.ones(len(known))) > 0
-    want = _padded(grid, wanted, np.ones(len(wanted))) > 0
-    dense = [_padded(grid, known, component) for component in values]
-    while have.any() and np.any(want & ~have):
-        beside = _sum_around(have.astype(float))
-        new: BoolArray = want & ~have & (beside > 0)
-        if not new.any():
-            new = ~have & (beside > 0)
-        for component in dense:
-            component[new] = _sum_around(component * have)[new] / beside[new]
-        have = have | new
-    inner = (slice(1, -1),) * grid.dimension
-    return np.stack([component[inner].reshape(-1)[wanted] for component in dense])
+    padded = tuple(n + 2 for n in grid.shape)
+    around = _offsets(padded)
+    have = np.zeros(int(np.prod(padded)), dtype=bool)
+    dense = np.zeros((len(values), len(have)))
+    inside, place = _inside(grid, known), _inside(grid, wanted)
+    have[inside] = True
+    dense[:, inside] = values
+    missing = place[~have[place]]
+    while have.any() and len(missing):
+        new = _beside(missing, have, around)
+        if not len(new):
+            everywhere = _inside(grid, np.flatnonzero(np.ones(grid.cells, dtype=bool)))
+            new = _beside(everywhere[~have[everywhere]], have, around)
+            if not len(new):
+                break
+        dense[:, new] = _means(new, dense, have, around)
+        have[new] = True
+        missing = missing[~have[missing]]
+    return dense[:, place]
 
 
-def _padded(grid: Grid, cells: IntArray, values: FloatArray) -> FloatArray:
-    dense = np.zeros(grid.cells)
-    dense[cells] = values
-    return np.pad(dense.reshape(grid.shape), 1)
+def _inside(grid: Grid, cells: IntArray) -> IntArray:
+    """Places of cells in the flattened grid with a rim of one cell."""
+    index = np.unravel_index(cells, grid.shape)
+    return np.ravel_multi_index(tuple(i + 1 for i in index), tuple(n + 2 for n in grid.shape))
 
 
-def _sum_around(values: FloatArray) -> FloatArray:
-    """Sum over a cell and all cells that touch it; the rim of the array is not meant to be used."""
-    total = values
-    for dim in range(values.ndim):
-        total = total + np.roll(total, 1, dim) + np.roll(total, -1, dim)
-    return total
+def _offsets(shape: tuple[int, ...]) -> IntArray:
+    """From a cell to those that touch it, in a flattened array."""
+    steps = np.indices((3,) * len(shape)).reshape(len(shape), -1) - 1
+    strides = np.array([int(np.prod(shape[n + 1 :])) for n in range(len(shape))])
+    return np.array(strides @ steps[:, steps.any(axis=0)])
+
+
+@numba.njit(cache=True)
+def _beside(cells: IntArray, have: BoolArray, around: IntArray) -> IntArray:
+    """Those that touch a cell with a value."""
+    chosen = np.zeros(len(cells), dtype=np.bool_)
+    for n in range(len(cells)):
+        for offset in around:
+            if have[cells[n] + offset]:
+                chosen[n] = True
+                break
+    return cells[chosen]
+
+
+@numba.njit(cache=True)
+def _means(cells: IntArray, dense: FloatArray, have: BoolArray, around: IntArray) -> FloatArray:
+    """Means (m, cells) over the cells with a value that touch each."""
+    means = np.zeros((dense.shape[0], len(cells)))
+    for n in range(len(cells)):
+        count = 0
+        for offset in around:
+            if have[cells[n] + offset]:
+                count += 1
+                for q in range(dense.shape[0]):
+                    means[q, n] += dense[q, cells[n] + offset]
+        for q in range(dense.shape[0]):
+            means[q, n] /= count
+    return means

@@ -74,7 +74,7 @@ class Drum:
             return {
                 "operation": operation | {"revolutions": 10},
                 "flow": {"name": "surface-layer"},
-                "mixing": {"name": "finite-volume"},
+                "mixing": {"name": "semi-lagrangian"},
                 "grid": {"cells": 2e5},
             }
         return {

@@ -65,7 +65,7 @@ class Mesh:
                 "revolutions": 10,
             },
             "flow": {"name": "surface-layer"},
-            "mixing": {"name": "finite-volume"},
+            "mixing": {"name": "semi-lagrangian"},
             "grid": {"cells": 2e5},
         }
 

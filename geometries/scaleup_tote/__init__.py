@@ -69,7 +69,7 @@ class Tote:
                 "revolutions": 10,
             },
             "flow": {"name": "surface-layer"},
-            "mixing": {"name": "finite-volume"},
+            "mixing": {"name": "semi-lagrangian"},
             "grid": {"cells": 2e5},
         }
 

@@ -71,7 +71,7 @@ class VBlender:
                 "revolutions": 10,
             },
             "flow": {"name": "surface-layer"},
-            "mixing": {"name": "finite-volume"},
+            "mixing": {"name": "semi-lagrangian"},
             "grid": {"cells": 2e5},
         }
 

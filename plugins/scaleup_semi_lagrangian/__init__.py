@@ -23,15 +23,16 @@ class SemiLagrangian:
     class Options(PluginOptions):
         """The step, which only accuracy limits, and the sub-cells."""
 
-        deformation: Annotated[float, Field(gt=0)] = 2.0
+        deformation: Annotated[float, Field(gt=0)] = 4.0
         """of a cell in a step, at most: the greatest velocity gradient times the step"""
         time_step: units.Time | None = None
         """s, in place of the limit on deformation"""
         subcells: Annotated[int, Field(ge=2, le=8)] | None = None
         """along an edge of a cell; default 4 in 2-D, 2 in 3-D"""
 
-        memory: Annotated[float, Field(gt=0)] = 4.0
-        """10^9 bytes on a rank, for carriages kept from one revolution to the next"""
+        memory: Annotated[float, Field(gt=0)] | None = None
+        """10^9 bytes on a rank, for what is kept from one revolution to the next; default: two
+        fifths of the machine's memory, shared out among the ranks on it"""
 
     halo: ClassVar[int] = 3
     order: ClassVar[float] = 2.0

@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Hashable
 from typing import Any, Protocol, TypeVar
+
+from mpi4py import MPI
+
+_SHARE = 0.4  # of the machine's memory
+
+
+def budget_of_rank(comm: Any) -> float:
+    """Bytes that every rank may keep, the same on all (collective)."""
+    here = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    budget = _SHARE * memory / here.Get_size()
+    here.Free()
+    return float(comm.allreduce(budget, op=MPI.MIN))
 
 
 class Sized(Protocol):

@@ -68,23 +68,21 @@ def _potential(
     count = blocks.shape[0]
 
     def conditioned(residual: FloatArray) -> FloatArray:
-        sums = np.bincount(block, residual, count)
-        return np.asarray(coarse.solve(sums)[block] + residual / np.maximum(degree, 1.0))
+        return _conditioned(residual, degree, block, coarse.solve(_sums(residual, block, count)))
 
     x, r = np.zeros(len(excess)), np.where(degree > 0.0, excess, 0.0)
     goal = _TOLERANCE**2 * (r @ r)
-    p = z = conditioned(r)
-    rz = r @ z
+    z = conditioned(r)
+    p, rz, rr = z.copy(), r @ z, r @ r
     for _ in range(_MOST):
-        if r @ r <= goal or rz == 0.0:
+        if rr <= goal or rz == 0.0:
             break
-        q = _differences(below, above, degree, p)
-        step = rz / (p @ q)
-        x += step * p
-        r -= step * q
+        q, pq = _differences(below, above, degree, p)
+        rr = _advance(x, r, p, q, rz / pq)
         z = conditioned(r)
         before, rz = rz, r @ z
-        p = z + (rz / before) * p
+        p *= rz / before
+        p += z
     return x
 
 
@@ -102,7 +100,7 @@ def _blocks(below: IntArray, coordinates: IntArray) -> tuple[IntArray, Any]:
         if count <= _BLOCKS:
             break
         edge += 1
-    block = (np.cumsum(used) - 1)[flat]
+    block = (np.cumsum(used) - 1).astype(np.int32)[flat]
     rows, columns = [], []
     for axis in range(dimension):
         upper = np.flatnonzero(below[axis] >= 0)
@@ -127,9 +125,41 @@ def _blocks(below: IntArray, coordinates: IntArray) -> tuple[IntArray, Any]:
 
 
 @numba.njit(cache=True)
-def _differences(below: IntArray, above: IntArray, degree: FloatArray, p: FloatArray) -> FloatArray:
+def _sums(values: FloatArray, block: IntArray, count: int) -> FloatArray:
+    sums = np.zeros(count)
+    for i in range(len(values)):
+        sums[block[i]] += values[i]
+    return sums
+
+
+@numba.njit(cache=True)
+def _conditioned(
+    r: FloatArray, degree: FloatArray, block: IntArray, of_blocks: FloatArray
+) -> FloatArray:
+    z = np.empty(len(r))
+    for i in range(len(r)):
+        z[i] = of_blocks[block[i]] + r[i] / max(degree[i], 1.0)
+    return z
+
+
+@numba.njit(cache=True)
+def _advance(x: FloatArray, r: FloatArray, p: FloatArray, q: FloatArray, step: float) -> float:
+    """A step along p: x and r are changed; returns r.r."""
+    rr = 0.0
+    for i in range(len(x)):
+        x[i] += step * p[i]
+        r[i] -= step * q[i]
+        rr += r[i] * r[i]
+    return rr
+
+
+@numba.njit(cache=True)
+def _differences(
+    below: IntArray, above: IntArray, degree: FloatArray, p: FloatArray
+) -> tuple[FloatArray, float]:
+    """Sum over neighbours of (p_i - p_neighbour), and its product with p."""
     dimension, m = below.shape
-    q = np.empty(m)
+    q, pq = np.empty(m), 0.0
     for i in range(m):
         total = degree[i] * p[i]
         for axis in range(dimension):
@@ -139,7 +169,8 @@ def _differences(below: IntArray, above: IntArray, degree: FloatArray, p: FloatA
             if k >= 0:
                 total -= p[k]
         q[i] = total
-    return q
+        pq += total * p[i]
+    return q, pq
 
 
 @numba.njit(cache=True)

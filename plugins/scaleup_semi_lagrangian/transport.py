@@ -27,7 +27,7 @@ from scaleup.api import (
 )
 from scaleup_semi_lagrangian.carriage import Carriage, strides_of
 from scaleup_semi_lagrangian.exchange import Exchange, steps
-from scaleup_semi_lagrangian.kept import Kept
+from scaleup_semi_lagrangian.kept import Kept, budget_of_rank
 from scaleup_semi_lagrangian.moving_cells import MovingCells, find_moving
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ class Transport:
         self._owned = np.zeros(self._field.flat.shape[1], dtype=bool)
         self._owned.reshape(self._split.local_shape)[self._split.owned] = True
         self._gain = np.zeros(len(self._owned))
-        self._kept = Kept(options.memory * 1e9, self._split.largest)
+        budget = 1e9 * options.memory if options.memory else budget_of_rank(self._split.comm)
+        self._kept = Kept(budget, self._split.largest)
         self._pace: dict[int, tuple[float, int]] = {}  # longest step (s) and moving cells
         self._per_edge = options.subcells or (4 if self._grid.dimension == 2 else 2)
         self._enter(index)

@@ -33,7 +33,7 @@ class DoubleCone:
             "revolutions": 10,
         },
         "flow": {"name": "surface-layer"},
-        "mixing": {"name": "finite-volume"},
+        "mixing": {"name": "semi-lagrangian"},
         "grid": {"cells": 2e5},
     }
 
