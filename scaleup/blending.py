@@ -154,7 +154,9 @@ def _measure(
     blend.intensity_sample.append(components[0].intensity_sample)
     blend.lacey.append(min(component.lacey for component in components))
     blend.rsd.append(max(component.rsd for component in components))
-    blend.volumes.append((concentration @ interval.fill(time_in_interval)).tolist())
+    # numpy's pairwise sum: a dot product of as many equal terms is off by 1e-12
+    held = (concentration * interval.fill(time_in_interval)).sum(axis=1)
+    blend.volumes.append(held.tolist())
     blend.sample_volume = sampler.sample_volume
 
 
