@@ -41,7 +41,7 @@ def test_a_v_blender_mixes_along_its_axis_much_slower_than_top_to_bottom(store):
     axial = blended("front-back", 2, *V)
     cascade = blended("top-bottom", 2, *V)
     assert axial[-1] > 0.95  # 2 revolutions: only diffusion crosses the plane between the arms
-    assert cascade[-1] < 0.05
+    assert cascade[-1] < 0.2
     assert axial[-1] < axial[0] - 1e-3
 
 
@@ -60,7 +60,7 @@ def test_without_diffusion_nothing_at_all_crosses_the_mirror_plane_of_a_v_blende
 
 
 def start(config, flow, concentration, index=0):
-    """The default backend on an interval, from a concentration of cells; and 1 revolution, s."""
+    """Finite volumes on an interval, from a concentration of cells; and 1 revolution, s."""
     backend = FiniteVolume(FiniteVolume.Options())
     split = Decomposition(flow.grid, flow.ever_active(), COMM, halo=backend.halo)
     grain = config.material.grain_diameter
