@@ -25,6 +25,7 @@ from scipy.sparse import csr_matrix
 from scaleup import parallel, storage
 
 METHODS = ("semi-lagrangian", "finite-volume")
+OPTIONS = {"semi-lagrangian": ["mixing.deformation=4"], "finite-volume": []}
 CELLS = (12_500, 25_000, 50_000)
 K1 = (0.04, 0.005)
 SQUARE = 1e-3  # m
@@ -58,7 +59,7 @@ def run(comm: Any, method: str, k1: float, cells: int, revolutions: float) -> Ru
     from scaleup.flow_source import obtain_flow
 
     asked = [
-        f"mixing.name={method}", f"diffusion.k1={k1}", f"grid.cells={cells}",
+        f"mixing.name={method}", *OPTIONS[method], f"diffusion.k1={k1}", f"grid.cells={cells}",
         f"operation.revolutions={revolutions}",
     ]  # fmt: skip
     config = compose(None, asked, {"flow": {"name": "mohr-coulomb"}})

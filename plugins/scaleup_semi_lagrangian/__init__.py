@@ -23,8 +23,9 @@ class SemiLagrangian:
     class Options(PluginOptions):
         """The step, which only accuracy limits, and the sub-cells."""
 
-        deformation: Annotated[float, Field(gt=0)] = 4.0
-        """of a cell in a step, at most: the greatest velocity gradient times the step"""
+        deformation: Annotated[float, Field(gt=0)] | None = None
+        """of a cell in a step, at most: the greatest velocity gradient times the step; default 2
+        in 2-D, 4 in 3-D"""
         time_step: units.Time | None = None
         """s, in place of the limit on deformation"""
         subcells: Annotated[int, Field(ge=2, le=8)] | None = None

@@ -55,6 +55,7 @@ class Transport:
         budget = 1e9 * options.memory if options.memory else budget_of_rank(self._split.comm)
         self._kept = Kept(budget, self._split.largest)
         self._pace: dict[int, tuple[float, int]] = {}  # longest step (s) and moving cells
+        self._deformation = options.deformation or (2.0 if self._grid.dimension == 2 else 4.0)
         self._per_edge = options.subcells or (4 if self._grid.dimension == 2 else 2)
         self._enter(index)
         active = self._interval.cells
@@ -72,7 +73,7 @@ class Transport:
         self._exchange = self._kept.get(("exchange", index), self._find_exchange)
         if index not in self._pace:
             moving = self._find_moving()
-            longest = self._options.deformation / max(moving.greatest_gradient(), 1e-300)
+            longest = self._deformation / max(moving.greatest_gradient(), 1e-300)
             self._pace[index] = longest, len(moving.cells)
 
     def _find_moving(self) -> MovingCells:

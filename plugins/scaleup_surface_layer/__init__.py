@@ -47,7 +47,7 @@ class SurfaceLayer:
         """"closed-form": the drum's steady bed; "general": any vessel, periodic, in its own frame;
         "auto": the closed form where it holds"""
         intervals: Annotated[int, Field(ge=8, le=3600)] | None = None
-        """general: per revolution; default 120, more where the rim turns by over 8 cells in one"""
+        """general: per revolution; default 120, more where the rim turns by over 4 cells in one"""
         steps_per_interval: Annotated[int, Field(ge=1, le=64)] = 2
         """general: steps of the bed's surface in an interval"""
         column_spacing: units.Length | None = None

@@ -31,7 +31,7 @@ from scaleup_surface_layer.vessel_frame import VesselFrame, upper_half
 if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
 
-_RIM_CELLS = 8  # by how many cells the rim may turn in an interval
+_RIM_CELLS = 4  # by how many cells the rim may turn in an interval
 _LONGEST = 120  # intervals in a revolution, at least: 3 degrees
 _MOVE = 0.5  # cost of going through an interval over that of closing it
 _ACROSS = 72  # columns across the vessel, at most, unless asked for
