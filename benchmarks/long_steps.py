@@ -29,6 +29,7 @@ OPTIONS = {"semi-lagrangian": ["mixing.deformation=4"], "finite-volume": []}
 CELLS = (12_500, 25_000, 50_000)
 K1 = (0.04, 0.005)
 SQUARE = 1e-3  # m
+REACH = 0.08  # m: squares cover this around the axis, more than the drum's radius and a cell
 
 
 @dataclass
@@ -49,7 +50,9 @@ def overlaps(lower: float, spacing: float, count: int, low: float, squares: int)
     for n in range(count):
         for row in range(int(np.floor(edges[n])), int(np.floor(edges[n + 1] - 1e-12)) + 1):
             share = min(edges[n + 1], row + 1) - max(edges[n], row)
-            rows.append(row), columns.append(n), shares.append(share * SQUARE / spacing)
+            rows.append(row)
+            columns.append(n)
+            shares.append(share * SQUARE / spacing)
     return csr_matrix((shares, (rows, columns)), shape=(squares, count))
 
 
@@ -73,10 +76,9 @@ def run(comm: Any, method: str, k1: float, cells: int, revolutions: float) -> Ru
     grid, interval = flow.grid, flow.intervals[-1]
     dense = np.zeros(grid.cells)
     dense[interval.cells] = concentration * interval.fill_start
-    reach = 0.08
-    squares = round(2 * reach / SQUARE)
+    squares = round(2 * REACH / SQUARE)
     along = [
-        overlaps(grid.lower[a], grid.spacing[a], grid.counts[a], -reach, squares) for a in (0, 1)
+        overlaps(grid.lower[a], grid.spacing[a], grid.counts[a], -REACH, squares) for a in (0, 1)
     ]
     content = along[1] @ dense.reshape(grid.shape) @ along[0].T
     return Run(

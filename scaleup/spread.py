@@ -28,7 +28,7 @@ def spread_outwards(
     while have.any() and len(missing):
         new = _beside(missing, have, around)
         if not len(new):
-            everywhere = _inside(grid, np.flatnonzero(np.ones(grid.cells, dtype=bool)))
+            everywhere = _inside(grid, np.arange(grid.cells))
             new = _beside(everywhere[~have[everywhere]], have, around)
             if not len(new):
                 break

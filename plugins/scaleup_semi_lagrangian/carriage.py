@@ -55,7 +55,7 @@ class Carriage:
         placing = split.placing(moving.cells)
         self._sources = np.flatnonzero(placing.mine & (start > 0.0)).astype(np.int32)
         self._position = placing.place[self._sources]
-        self._coordinates = moving.coordinates(grid)
+        self._coordinates = moving.coordinates
         points = paths.lattice(per_edge, grid.dimension)
         self._points = points - 0.5
         self._landed, places = ends_of_subcells(

@@ -58,7 +58,7 @@ def ends_of_subcells(
     known = np.zeros(len(sources), dtype=bool)
     _spread(
         landed, places, known, candidates, sources, points, middle, number, landed_middle[:, 0],
-        place_middle[:, 0], moving.coordinates(grid), np.array(grid.counts), grid.periodic,
+        place_middle[:, 0], moving.coordinates, np.array(grid.counts), grid.periodic,
         moving.below, moving.above, usable, start, end,
     )  # fmt: skip
     rest = np.flatnonzero(~known)

@@ -20,6 +20,7 @@ class MovingCells:
     """Cells with a flux through any face between two of them, m of them, the same on every rank.
 
     cells -- flat grid indices, ascending, (m,)
+    coordinates -- (m, dimension) whole numbers of the cells along the axes, x first
     where -- their places in the interval's list of active cells, (m,)
     below, above -- (dimension, m) places in this list of the neighbours along each axis, or -1
              where nothing goes through any part of the face between
@@ -33,6 +34,7 @@ class MovingCells:
     """
 
     cells: IntArray
+    coordinates: IntArray
     where: IntArray
     below: IntArray
     above: IntArray
@@ -46,11 +48,6 @@ class MovingCells:
     def full(self) -> BoolArray:
         """Which cells are full all the time, (m,)."""
         return _full(self.start, self.end)
-
-    def coordinates(self, grid: Grid) -> IntArray:
-        """Whole numbers of the cells along the axes, x first, (m, dimension)."""
-        index = np.unravel_index(self.cells, grid.shape)
-        return np.stack(index[::-1], axis=-1).astype(np.int32)
 
     def greatest_gradient(self) -> float:
         """Greatest velocity gradient between the faces of full cells, 1/s."""
@@ -71,11 +68,13 @@ def find_moving(grid: Grid, interval: Interval) -> MovingCells:
     start = interval.fill_start[where] / volume
     end = interval.fill_end[where] / volume
     full = _full(interval.fill_start / volume, interval.fill_end / volume)
-    below, above, beside = _neighbours(below_all, where, full)
-    shear = _shear(below, above, flux, full[where])
+    below, beside = _neighbours(below_all, where, full)
+    shear = _shear(below, _turned_round(below), flux, full[where])
     below[(flux == 0.0) & (shear == 0.0).all(axis=1)] = -1
+    cells = interval.cells[where]
+    coordinates = np.stack(np.unravel_index(cells, grid.shape)[::-1], axis=-1).astype(np.int32)
     return MovingCells(
-        interval.cells[where], where, below, _turned_round(below), beside, flux, shear, start, end
+        cells, coordinates, where, below, _turned_round(below), beside, flux, shear, start, end
     )
 
 
@@ -94,16 +93,13 @@ def _touched(below: IntArray, flux: FloatArray) -> BoolArray:
 
 
 @numba.njit(cache=True)
-def _neighbours(
-    below_all: IntArray, where: IntArray, full: BoolArray
-) -> tuple[IntArray, IntArray, IntArray]:
-    """`below`, `above` and `beside`, from the neighbours and `full` of all active cells."""
+def _neighbours(below_all: IntArray, where: IntArray, full: BoolArray) -> tuple[IntArray, IntArray]:
+    """`below` and `beside`, from the neighbours and `full` of all active cells."""
     dimension, n = below_all.shape
     number = np.full(n, -1, dtype=np.int32)
     for place in range(len(where)):
         number[where[place]] = place
     below = np.full((dimension, len(where)), -1, dtype=np.int32)
-    above = np.full((dimension, len(where)), -1, dtype=np.int32)
     beside = np.full((2, dimension, len(where)), -1, dtype=np.int32)
     for axis in range(dimension):
         for k in range(n):
@@ -115,9 +111,8 @@ def _neighbours(
                 below[axis, upper] = lower
                 beside[0, axis, upper] = STILL if lower < 0 and full[j] else lower
             if lower >= 0:
-                above[axis, lower] = upper
                 beside[1, axis, lower] = STILL if upper < 0 and full[k] else upper
-    return below, above, beside
+    return below, beside
 
 
 @numba.njit(cache=True)

@@ -1,11 +1,10 @@
 """Fluxes between neighbours that bring cells from the volume laid down in them to their fill.
 
-Sub-cells of finite size fill the cells to a few parts in a thousand. The rest R flows between
+Sub-cells of finite size fill the cells to some parts in a hundred. The rest R flows between
 neighbours, through the faces that are open: psi = difference of a potential, div psi = R, by
 conjugate gradients (preconditioned by the diagonal and the solution on blocks of cells, so that
 their number does not grow with the grid), and what these leave along a spanning tree, to round-off.
-Content goes with it
-at the concentration of the cell that it leaves,
+Content goes with it at the concentration of the cell that it leaves,
 
     c_i (v_i + inflow_i) = m_i + sum over inflowing faces of psi c_upstream,
 
@@ -20,7 +19,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from scaleup.api import BoolArray, FloatArray, IntArray
@@ -88,12 +87,11 @@ def _potential(
 
 def _blocks(below: IntArray, coordinates: IntArray) -> tuple[IntArray, Any]:
     """The block of each cell (m,), and the matrix of the above for the sums over blocks."""
-    dimension = coordinates.shape[1]
+    local = coordinates - coordinates.min(axis=0)
     edge = 4
-    low = coordinates.min(axis=0)
     while True:
-        shape = tuple((coordinates.max(axis=0) - low) // edge + 1)
-        flat = np.ravel_multi_index(tuple(((coordinates - low) // edge).T), shape)
+        shape = tuple(local.max(axis=0) // edge + 1)
+        flat = np.ravel_multi_index(tuple((local // edge).T), shape)
         used = np.zeros(int(np.prod(shape)), dtype=bool)
         used[flat] = True
         count = int(used.sum())
@@ -101,27 +99,12 @@ def _blocks(below: IntArray, coordinates: IntArray) -> tuple[IntArray, Any]:
             break
         edge += 1
     block = (np.cumsum(used) - 1).astype(np.int32)[flat]
-    rows, columns = [], []
-    for axis in range(dimension):
-        upper = np.flatnonzero(below[axis] >= 0)
-        lower = below[axis, upper]
-        apart = block[upper] != block[lower]
-        rows.append(block[upper[apart]])
-        columns.append(block[lower[apart]])
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    ends = np.concatenate([row, column])
-    diagonal = np.bincount(ends, minlength=count) + _GROUND
-    matrix = coo_matrix(
-        (
-            np.concatenate([-np.ones(len(ends)), diagonal]),
-            (
-                np.concatenate([ends, np.arange(count)]),
-                np.concatenate([column, row, np.arange(count)]),
-            ),
-        ),
-        shape=(count, count),
-    )
-    return block, matrix.tocsc()
+    upper = np.nonzero(below >= 0)
+    first, second = block[upper[1]], block[below[upper]]
+    apart = first != second
+    faces = csc_matrix((np.ones(apart.sum()), (first[apart], second[apart])), shape=(count, count))
+    faces = faces + faces.T
+    return block, (diags(np.asarray(faces.sum(axis=0))[0] + _GROUND) - faces).tocsc()
 
 
 @numba.njit(cache=True)

@@ -132,8 +132,8 @@ class Transport:
                 self._per_edge,
             )  # fmt: skip
 
-        begin = 0.0 if steady else round(start, 9)
-        return self._kept.get(("carriage", self._index, begin, round(end - start, 9)), build)
+        key = ("carriage", self._index, self._moment(start), round(end - start, 9))
+        return self._kept.get(key, build)
 
     @property
     def _lasts(self) -> bool:
@@ -141,19 +141,22 @@ class Transport:
         flow = self._scene.flow
         return flow.steady and self._index == flow.prefix
 
+    def _moment(self, time: float) -> float:
+        """By which what belongs to a time of the interval (s) is found again."""
+        return 0.0 if self._lasts else round(time, 9)
+
     def _fraction(self, time: float) -> FloatArray:
         """Fill fraction in local arrays at a time of the interval, s; the last one is kept."""
-        interval, time = self._interval, 0.0 if self._lasts else time
-        if self._filled is None or self._filled[0] != time:
-            fill = interval.fill_start if self._lasts else interval.fill(time)
-            self._filled = time, self._placing.local(fill / self._grid.cell_volume)
+        moment = self._moment(time)
+        if self._filled is None or self._filled[0] != moment:
+            fill = self._interval.fill_start if self._lasts else self._interval.fill(time)
+            self._filled = moment, self._placing.local(fill / self._grid.cell_volume)
         return self._filled[1]
 
     def _diffuse(self, time: float, duration: float) -> None:
         """Exchange over a duration (s) with the fills at a time; collective."""
         fraction = self._fraction(time)
-        time = 0.0 if self._lasts else round(time, 9)
-        fastest = self._exchange.fastest(time, fraction, self._split.largest)
+        fastest = self._exchange.fastest(self._moment(time), fraction, self._split.largest)
         if fastest == 0.0:
             return
         count = steps(duration, fastest)

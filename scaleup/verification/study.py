@@ -98,8 +98,8 @@ def run(problem: Problem, backend: Any, n: int, comm: Any = MPI.COMM_SELF) -> Re
         segregation.append(abs(intensity(values[0], volumes) - intensity(exact[0], volumes)))
 
     difference = np.abs(values[0] - exact[0])
-    held = float(concentration[0] @ interval.fill(min(local, interval.end)))
-    initially = float(start[0] @ first.fill_start)
+    held = float((concentration[0] * interval.fill(min(local, interval.end))).sum())
+    initially = float((start[0] * first.fill_start).sum())
     return Result(
         problem=problem.name,
         n=n,

@@ -37,11 +37,12 @@ def blended(loading, revolutions, geometry, *settings):
     return np.array(mix(config, flow, COMM).intensity)
 
 
-def test_a_v_blender_mixes_along_its_axis_much_slower_than_top_to_bottom(store):
-    axial = blended("front-back", 2, *V)
-    cascade = blended("top-bottom", 2, *V)
+@pytest.mark.parametrize(("mixing", "bound"), [("finite-volume", 0.05), ("semi-lagrangian", 0.2)])
+def test_a_v_blender_mixes_along_its_axis_much_slower_than_top_to_bottom(store, mixing, bound):
+    axial = blended("front-back", 2, *V, f"mixing.name={mixing}")
+    cascade = blended("top-bottom", 2, *V, f"mixing.name={mixing}")
     assert axial[-1] > 0.95  # 2 revolutions: only diffusion crosses the plane between the arms
-    assert cascade[-1] < 0.2
+    assert cascade[-1] < bound  # on so few cells a matter of numerical mixing too
     assert axial[-1] < axial[0] - 1e-3
 
 

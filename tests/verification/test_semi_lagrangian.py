@@ -52,7 +52,7 @@ def test_middles_tell_where_subcells_of_full_cells_end(name, n):
         moving.below, moving.above, moving.flux, moving.shear, moving.full, moving.start, rest,
         sources, points, duration,
     )  # fmt: skip
-    corner = moving.coordinates(flow.grid)
+    corner = moving.coordinates
     apart = corner[landed] + places - corner[landed_by_path] - places_by_path
     assert np.abs(apart).max() < 0.02
 
