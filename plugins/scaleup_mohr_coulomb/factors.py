@@ -26,3 +26,7 @@ class SymmetricFactors:
             self.inverse = self._form.mat.Inverse(inverse="sparsecholesky")
         else:
             self.inverse.Update()
+
+    def solve(self, load: Any, solution: Any) -> None:
+        """Solution of matrix * solution = load (NGSolve vectors)."""
+        solution.data = self.inverse * load

@@ -23,6 +23,7 @@ import ngsolve as ngs
 
 from scaleup.api import Material
 
+from .block_solver import BlockSolver
 from .factors import SymmetricFactors
 from .parameters import Discretisation
 from .viscosity import CUT_CELL_ORDER, Viscosity
@@ -113,7 +114,12 @@ class Momentum:
         self._load += (
             wall_drag * ngs.InnerProduct(wall_velocity, tangential(v))
         ).Compile() * on_wall
-        self._factors = SymmetricFactors(self._matrix)
+        self._solver: Any
+        if mesh.dim == 2:
+            self._solver = SymmetricFactors(self._matrix)
+        else:
+            unit = material.bulk_density * numerics.fine_size / numerics.time_step
+            self._solver = BlockSolver(self._matrix, eta, rho, dt, unit)
 
     def step(self) -> None:
         """Keep the velocity as the previous one and solve for the next, with its pressure."""
@@ -121,5 +127,5 @@ class Momentum:
         self._matrix.Assemble()
         self._matrix.mat.AsVector().data += self._constant.mat.AsVector()
         self._load.Assemble()
-        self._factors.update()
-        self._solution.vec.data = self._factors.inverse * self._load.vec
+        self._solver.update()
+        self._solver.solve(self._load.vec, self._solution.vec)

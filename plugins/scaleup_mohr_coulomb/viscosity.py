@@ -15,6 +15,7 @@ from typing import Any
 import ngsolve as ngs
 import numpy as np
 
+from .block_solver import PositiveSolver
 from .factors import SymmetricFactors
 from .parameters import Discretisation
 from .rheology import Strength, effective_viscosity, predicted_shear_rate
@@ -53,7 +54,9 @@ class Viscosity:
         self._filter += (
             weight * (g * s + numerics.filter_length**2 * ngs.grad(g) * ngs.grad(s))
         ).Compile() * ngs.dx
-        self._factors = SymmetricFactors(self._filter)
+        self._solver: Any = (
+            SymmetricFactors(self._filter) if space.mesh.dim == 2 else PositiveSolver(self._filter)
+        )
         self._shear_rate_load, self._pressure_load = ngs.LinearForm(space), ngs.LinearForm(space)
         cut_cells = ngs.dx(bonus_intorder=CUT_CELL_ORDER)
         self._shear_rate_load += (weight * shear_rate * s).Compile() * cut_cells
@@ -86,9 +89,8 @@ class Viscosity:
         self._filter.Assemble()
         self._shear_rate_load.Assemble()
         self._pressure_load.Assemble()
-        self._factors.update()
-        inverse = self._factors.inverse
-        self.shear_rate.vec.data = inverse * self._shear_rate_load.vec
-        self.pressure.vec.data = inverse * self._pressure_load.vec
+        self._solver.update()
+        self._solver.solve(self._shear_rate_load.vec, self.shear_rate.vec)
+        self._solver.solve(self._pressure_load.vec, self.pressure.vec)
         shear_rate = self.shear_rate.vec.FV().NumPy()
         np.maximum(shear_rate, 0.0, out=shear_rate)
