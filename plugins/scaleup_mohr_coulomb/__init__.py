@@ -9,18 +9,20 @@ from pydantic import Field, model_validator
 from scaleup.api import (
     FlowField,
     Geometry,
+    InputError,
     Memory,
     PluginOptions,
     Progress,
     Scene,
     on_root_alone,
     require_drum,
+    require_rolling,
     units,
 )
 
 
 class MohrCoulomb:
-    """Two-phase level-set flow of a Mohr-Coulomb powder in a drum's cross-section.
+    """Two-phase level-set flow of a Mohr-Coulomb powder in a drum's cross-section or a vessel.
 
     Unset options follow the rules in `parameters.Discretisation`, none of which has seen
     validation data.
@@ -57,6 +59,12 @@ class MohrCoulomb:
         time_limit: units.Time | None = None
         """s of flow after which the run stops anyway; default 140 sqrt(reach/g)"""
 
+        intervals: Annotated[int, Field(ge=24, le=720)] = 60
+        """in space: of a revolution, in each of which the fluxes are constant"""
+        revolutions: Annotated[int, Field(ge=2, le=20)] = 2
+        """in space: solved for at most, unless the last two agree before; the last one is the flow
+        that repeats"""
+
         @model_validator(mode="after")
         def _constant_friction_does_not_rise(self) -> Self:
             given = self.friction_rise is not None or self.inertial_number_0 is not None
@@ -71,13 +79,28 @@ class MohrCoulomb:
         self.options = options
 
     def check(self, geometry: Geometry, speed: float) -> None:
-        """The wall must look the same at every phase, and the powder must not centrifuge."""
-        require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
+        """A plane scene must look the same at every phase; no powder may centrifuge."""
+        if geometry.dimension == 2:
+            require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
+            return
+        if tuple(geometry.axis.direction) != (0.0, 0.0, 1.0):
+            raise InputError("flow.name = 'mohr-coulomb': the axis of rotation must run along z")
+        if tuple(geometry.axis.point[:2]) != (0.0, 0.0):
+            raise InputError(
+                "flow.name = 'mohr-coulomb': the axis of rotation must pass through x = y = 0"
+            )
+        require_rolling("mohr-coulomb", geometry, speed, froude_below=1.0)
 
     def solve(
         self, scene: Scene, comm: Any, progress: Progress, memory: Memory
     ) -> FlowField | None:
-        """Solve for the steady bed (kept without the grid, so that any grid can reuse it)."""
+        """The steady bed of a drum's cross-section (kept without the grid, so that any grid can
+        reuse it), or the periodic flow of a vessel in space, on all ranks.
+        """
+        if scene.geometry.dimension == 3:
+            from scaleup_mohr_coulomb.vessel_solve import vessel_flow
+
+            return vessel_flow(scene, self.options, comm, progress)
 
         def work() -> FlowField:
             from scaleup_mohr_coulomb.on_grid import flow_field

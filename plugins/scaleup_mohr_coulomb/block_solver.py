@@ -19,6 +19,7 @@ NGSolve leaves the first rank of a distributed mesh without elements: N ranks sh
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import ngsolve as ngs
@@ -78,7 +79,7 @@ class Numbering:
         return self._completed(owned)
 
     def owned(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The part of PETSc's vector that is held here, from values that are the same on all ranks."""
+        """The part of PETSc's vector that is held here, from values equal on all ranks."""
         part: NDArray[Any] = values[self.places]
         return part
 
@@ -205,6 +206,8 @@ class BlockSolver:
         self._ksp.getPC().setType("python")
         self._ksp.getPC().setPythonContext(self._preconditioner)
         self._right, self._left = whole.createVecs()
+        # a solver that calls Python must be gone before PETSc ends, which is after Python's exit
+        weakref.finalize(self, self._ksp.destroy)
 
     def update(self) -> None:
         """Follow the matrix, the viscosity and the time step as they stand."""

@@ -15,6 +15,8 @@ class SymmetricFactors:
     three quarters of a run), and sums in an order that differs from run to run.
     """
 
+    iterations = 0
+
     def __init__(self, form: Any) -> None:
         ngs.SetNumThreads(1)
         self._form = form

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from .block_solver import PositiveSolver
 from .factors import SymmetricFactors
 from .mesh import surface_normal, surface_offset
 
@@ -247,7 +248,7 @@ class Transport:
     coefficient function that the caller keeps up to date; so is the time step (s) unless a number.
     """
 
-    def __init__(self, level_set: LevelSet, velocity: Any, time_step: Any) -> None:
+    def __init__(self, level_set: Any, velocity: Any, time_step: Any) -> None:
         self._field = level_set.field
         phi, s = level_set.space.TnT()
 
@@ -259,14 +260,18 @@ class Transport:
         self._matrix += ((phi + along(phi)) * test).Compile() * ngs.dx
         self._load = ngs.LinearForm(level_set.space)
         self._load += ((self._field - along(self._field)) * test).Compile() * ngs.dx
-        self._factors = SymmetricFactors(self._matrix)
+        self._solver: Any = (
+            SymmetricFactors(self._matrix)
+            if level_set.mesh.dim == 2
+            else PositiveSolver(self._matrix)
+        )
 
     def step(self) -> None:
         """Replace phi^n by phi^{n+1}."""
         self._matrix.Assemble()
         self._load.Assemble()
-        self._factors.update()
-        self._field.vec.data = self._factors.inverse * self._load.vec
+        self._solver.update()
+        self._solver.solve(self._load.vec, self._field.vec)
 
 
 class SolenoidalVelocity:

@@ -83,7 +83,7 @@ class Momentum:
 
         self._constant = ngs.BilinearForm(space, symmetric=True)
         self._constant += (
-            numerics.grad_div * ngs.div(u) * ngs.div(v)
+            (0.0 if mesh.dim == 3 else numerics.grad_div) * ngs.div(u) * ngs.div(v)
             - p * ngs.div(v)
             - q * ngs.div(u)
             - _COMPRESSIBILITY * p * q
@@ -100,6 +100,7 @@ class Momentum:
             rho / dt * ngs.InnerProduct(u, v)
             + 0.5 * dt * rho * ngs.InnerProduct(ngs.Grad(u) * old, ngs.Grad(v) * old)
             + 2.0 * eta * ngs.InnerProduct(strain_rate(u), ngs.Grad(v))
+            + (numerics.grad_div if mesh.dim == 3 else 0.0) * alpha * ngs.div(u) * ngs.div(v)
         ).Compile() * interior
         self._matrix += (
             normal_penalty * (u * n) * (v * n)
@@ -120,6 +121,11 @@ class Momentum:
         else:
             unit = material.bulk_density * numerics.fine_size / numerics.time_step
             self._solver = BlockSolver(self._matrix, eta, rho, dt, unit)
+
+    @property
+    def iterations(self) -> int:
+        """Of the linear solver in the last step; 0 of a direct one."""
+        return int(self._solver.iterations)
 
     def step(self) -> None:
         """Keep the velocity as the previous one and solve for the next, with its pressure."""

@@ -47,7 +47,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
     wall = geometry.signed_distance(corners)
     near = wall > -2 * max(grid.spacing)
     surface = np.full(wall.shape, -geometry.reach)
-    surface[near] = sample(bed.mesh, bed.level_set.field, _kept_inside(geometry, corners[near]))
+    surface[near] = sample(bed.mesh, bed.level_set.field, kept_inside(geometry, corners[near]))
     fill, shift = fill_to_volume(grid, surface, wall, scene.fill_volume)
     material = np.minimum(surface + shift, wall)
 
@@ -56,7 +56,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         share, points = _wet_part(corners, material, grid, axis)
         velocity = np.zeros(share.shape)
         there = share > 0
-        inside = _kept_inside(geometry, points[there])
+        inside = kept_inside(geometry, points[there])
         velocity[there] = sample(bed.mesh, bed.velocity, inside)[:, axis]
         wet.append(share * grid.spacing[1 - axis])
         flux.append(velocity * wet[-1])
@@ -105,14 +105,14 @@ def _shear_rate(bed: SteadyBed, geometry: Geometry, grid: Grid, fill: FloatArray
     strain_rate = ngs.Sym(ngs.Grad(bed.velocity))
     rate = ngs.sqrt(2.0 * ngs.InnerProduct(strain_rate, strain_rate))
     cells = np.flatnonzero(fill)
-    points = _kept_inside(geometry, grid.centre_points(cells))
+    points = kept_inside(geometry, grid.centre_points(cells))
     dense = np.zeros(grid.cells)
     dense[cells] = sample(bed.mesh, rate, points)
     return dense.reshape(grid.shape)
 
 
-def _kept_inside(geometry: Geometry, points: FloatArray) -> FloatArray:
-    """Points moved along the wall's normal until they are inside the mesh, shape (n, 2)."""
+def kept_inside(geometry: Geometry, points: FloatArray) -> FloatArray:
+    """Points moved along the wall's normal until they are inside the mesh, shape (n, dim)."""
     margin = _MARGIN * geometry.reach
     moved = points.copy()
     for _ in range(3):  # a signed distance that is not exact near edges needs more than one move
@@ -125,7 +125,7 @@ def _kept_inside(geometry: Geometry, points: FloatArray) -> FloatArray:
             [
                 geometry.signed_distance(moved[close] - step * unit)
                 - geometry.signed_distance(moved[close] + step * unit)
-                for unit in np.eye(2)
+                for unit in np.eye(points.shape[-1])
             ],
             axis=-1,
         )

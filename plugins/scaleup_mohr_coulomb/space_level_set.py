@@ -1,0 +1,262 @@
+"""The powder's free surface in space: a quadratic level set on distributed tetrahedra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import combinations
+from typing import Any
+
+import ngsolve as ngs
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .level_set import powder_fraction
+
+_NEIGHBOURS = 12
+_SHIFTS = 6
+_EDGES = tuple(combinations(range(4), 2))
+# the eight tetrahedra between a tetrahedron's corners 0-3 and the middles 4-9 of its _EDGES
+_PARTS = np.array(
+    [
+        (0, 4, 5, 6),
+        (1, 4, 7, 8),
+        (2, 5, 7, 9),
+        (3, 6, 8, 9),
+        (4, 9, 5, 6),
+        (4, 9, 6, 8),
+        (4, 9, 8, 7),
+        (4, 9, 7, 5),
+    ]
+)
+# Share of the interface's half width within which a point counts as lying on the wall, and half
+# widths from it within which the surface is carried on beyond the wall.
+_ON_WALL = 0.1
+_CARRIED = 4.0
+
+
+class SpaceLevelSet:
+    """Level set phi (m), the signed distance to the free surface, positive in powder.
+
+    ``field`` is the finite-element function, ``fraction`` the smoothed powder fraction of
+    `level_set.powder_fraction`.  Surface and volume are those of the linear interpolant on the
+    eight parts of every tetrahedron.  All methods are collective.
+    """
+
+    def __init__(
+        self,
+        mesh: Any,
+        half_width: float,
+        wall_distance: Callable[[NDArray[Any]], NDArray[Any]],
+        comm: Any,
+    ) -> None:
+        self.mesh, self._comm = mesh, comm
+        self._half_width, self._wall_distance = half_width, wall_distance
+        self.space = ngs.H1(mesh, order=2)
+        self.field = ngs.GridFunction(self.space)
+        self.fraction = powder_fraction(self.field, half_width)
+        pairs = [[v.nr for v in edge.vertices] for edge in mesh.edges]
+        self._edges = np.array(pairs, dtype=int).reshape(-1, 2)
+        self._elements = self._element_nodes()
+        coordinate = ngs.GridFunction(self.space)
+        columns = []
+        for component in (ngs.x, ngs.y, ngs.z):
+            coordinate.Set(component)
+            columns.append(self.nodal(coordinate.vec.FV().NumPy()))
+        self._nodes = np.column_stack(columns)
+        self._corners = self._elements[:, _PARTS]
+        self._volumes = self._part_volumes()
+
+    def _element_nodes(self) -> NDArray[Any]:
+        """Node numbers (n_elements, 10): corners, then middles of the _EDGES."""
+        nodes = []
+        for element in self.mesh.Elements(ngs.VOL):
+            corners = [v.nr for v in element.vertices]
+            middle = {frozenset(self._edges[e.nr]): self.mesh.nv + e.nr for e in element.edges}
+            sides = (middle[frozenset((corners[a], corners[b]))] for a, b in _EDGES)
+            nodes.append([*corners, *sides])
+        return np.array(nodes, dtype=int).reshape(-1, 10)
+
+    def _part_volumes(self) -> NDArray[Any]:
+        corner = self._nodes[self._corners]
+        volumes = np.abs(np.linalg.det(corner[:, :, 1:] - corner[:, :, :1])) / 6.0
+        curved = np.array(ngs.Integrate(1.0, self.mesh, element_wise=True))
+        scaled: NDArray[Any] = volumes * (curved / volumes.sum(axis=1))[:, None]
+        return scaled
+
+    def nodal(self, coefficients: NDArray[Any]) -> NDArray[Any]:
+        """Values at corners and edge middles; NGSolve's edge functions are -1/8 in the middle."""
+        values: NDArray[Any] = coefficients.copy()
+        count = self.mesh.nv
+        values[count:] = values[self._edges].mean(axis=1) - values[count:] / 8.0
+        return values
+
+    def _set_nodal(self, values: NDArray[Any]) -> None:
+        count = self.mesh.nv
+        coefficients = values.copy()
+        coefficients[count:] = 8.0 * (values[self._edges].mean(axis=1) - values[count:])
+        self.field.vec.FV().NumPy()[:] = coefficients
+
+    def set_level(self, height: float, volume: float) -> None:
+        """A bed of ``volume`` (m^3) that lies level, y = ``height`` (m) being a first guess."""
+        self._set_nodal(height - self._nodes[:, 1])
+        for _ in range(_SHIFTS):
+            self.restore_volume(volume)
+
+    def _values(self, coefficients: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Level set (n_elements, 8, 4) at the corners of all parts; of the field by default."""
+        own = self.field.vec.FV().NumPy() if coefficients is None else coefficients
+        values: NDArray[Any] = self.nodal(own)[self._corners]
+        return values
+
+    def difference(self, coefficients: NDArray[Any]) -> float:
+        """Volume (m^3) by which the bed differs from that of another level set: half of what lies
+        in one alone.
+        """
+        here, there = (_inside_fraction(self._values(c)) for c in (None, coefficients))
+        return 0.5 * float(self._comm.allreduce(float((self._volumes * abs(here - there)).sum())))
+
+    def volume(self) -> float:
+        """Volume inside the surface, m^3."""
+        here = float((self._volumes * _inside_fraction(self._values())).sum())
+        return float(self._comm.allreduce(here))
+
+    def restore_volume(self, volume: float) -> float:
+        """Shift the surface so that it holds ``volume`` (m^3); the volume that was missing."""
+        missing = volume - self.volume()
+        area = self._comm.allreduce(float(_areas(self._surface_here()).sum()))
+        self.field.vec.FV().NumPy()[: self.mesh.nv] += missing / area
+        return missing
+
+    def _surface_here(self) -> NDArray[Any]:
+        """Corners (n, 3, 3) in m of the triangles of the surface in this rank's elements."""
+        values, corners = self._values().reshape(-1, 4), self._corners.reshape(-1, 4)
+        inside = values > 0.0
+        count = inside.sum(axis=1)
+        found = [np.zeros((0, 3, 3))]
+
+        def crossing(rows: NDArray[Any], a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+            near, far = values[rows, a], values[rows, b]
+            weight = (near / (near - far))[:, None]
+            first, last = self._nodes[corners[rows, a]], self._nodes[corners[rows, b]]
+            point: NDArray[Any] = (1.0 - weight) * first + weight * last
+            return point
+
+        for lone in (1, 3):
+            rows = np.flatnonzero(count == lone)
+            apex = (inside[rows] if lone == 1 else ~inside[rows]).argmax(axis=1)
+            sides = [crossing(rows, apex, (apex + turn) % 4) for turn in (1, 2, 3)]
+            found.append(np.stack(sides, axis=1))
+        rows = np.flatnonzero(count == 2)
+        a, b, c, d = np.argsort(~inside[rows], axis=1, kind="stable").T
+        quad = [crossing(rows, *ends) for ends in ((a, c), (a, d), (b, d), (b, c))]
+        found.append(np.stack([quad[0], quad[1], quad[2]], axis=1))
+        found.append(np.stack([quad[0], quad[2], quad[3]], axis=1))
+        return np.concatenate(found)
+
+    def surface(self) -> NDArray[Any]:
+        """Corners (n, 3, 3) in m of the triangles of the whole surface, on every rank."""
+        triangles = np.concatenate(self._comm.allgather(self._surface_here()))
+        areas = _areas(triangles)
+        kept: NDArray[Any] = triangles[areas > 1e-12 * areas.max(initial=0.0)]
+        return kept
+
+    def redistance(self) -> None:
+        """Make phi the signed distance to its own zero surface again.
+
+        Where the surface meets the wall it is carried straight on: a distance to its rim would have
+        a kink there, which costs volume.
+        """
+        triangles = self.surface()
+        centres = triangles.mean(axis=1)
+        _, nearest = cKDTree(centres).query(self._nodes, k=min(_NEIGHBOURS, len(centres)))
+        nearest = nearest.reshape(len(self._nodes), -1)
+        distance = np.full(len(self._nodes), np.inf)
+        closest = np.zeros_like(self._nodes)
+        face = np.zeros(len(self._nodes), dtype=int)
+        for candidate in nearest.T:
+            point = _closest_points(self._nodes, triangles[candidate])
+            away = np.linalg.norm(self._nodes - point, axis=1)
+            nearer = away < distance
+            distance[nearer], closest[nearer] = away[nearer], point[nearer]
+            face[nearer] = candidate[nearer]
+        rim = np.flatnonzero(distance < _CARRIED * self._half_width)
+        rim = rim[self._wall_distance(closest[rim]) < _ON_WALL * self._half_width]
+        if len(rim):
+            normal = _mean_normals(triangles, centres, closest[rim], face[rim], self._half_width)
+            along = ((self._nodes[rim] - closest[rim]) * normal).sum(axis=1)
+            distance[rim] = np.abs(along)
+        self._set_nodal(np.copysign(distance, self.nodal(self.field.vec.FV().NumPy())))
+
+
+def _inside_fraction(values: NDArray[Any]) -> NDArray[Any]:
+    """Part of each tetrahedron where the linear function of corner ``values`` (..., 4) is positive.
+
+    The sum over positive corners i of f_i^3 / prod_(j != i) (f_i - f_j); equal values are set apart
+    by 1e-6 of their range, which changes the part by as little.
+    """
+    scale = np.abs(values).max(axis=-1, keepdims=True) + 1e-300
+    apart = values + 1e-6 * scale * np.array([0.0, 0.37, -0.61, 1.0])
+    total = np.zeros(values.shape[:-1])
+    for i in range(4):
+        own = apart[..., i]
+        product = np.ones(values.shape[:-1])
+        for j in range(4):
+            if j != i:
+                product = product * (own - apart[..., j])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            total += np.where(own > 0.0, own**3 / product, 0.0)
+    inside = (values > 0.0).all(axis=-1)
+    outside = (values <= 0.0).all(axis=-1)
+    bounded = np.clip(np.nan_to_num(total, nan=0.5), 0.0, 1.0)
+    return np.where(inside, 1.0, np.where(outside, 0.0, bounded))
+
+
+def _areas(triangles: NDArray[Any]) -> NDArray[Any]:
+    return 0.5 * np.linalg.norm(_normals(triangles), axis=-1)
+
+
+def _normals(triangles: NDArray[Any]) -> NDArray[Any]:
+    """Normals (n, 3) of twice the area's length, m^2."""
+    sides = triangles[:, 1:] - triangles[:, :1]
+    return np.cross(sides[:, 0], sides[:, 1])
+
+
+def _closest_points(points: NDArray[Any], triangles: NDArray[Any]) -> NDArray[Any]:
+    """The point of each triangle (n, 3, 3) nearest to each point (n, 3)."""
+    normal = _normals(triangles)
+    square = np.maximum((normal**2).sum(axis=1), 1e-300)
+    height = ((points - triangles[:, 0]) * normal).sum(axis=1) / square
+    foot = points - height[:, None] * normal
+    inside = np.ones(len(points), dtype=bool)
+    best, closest = np.full(len(points), np.inf), triangles[:, 0].copy()
+    for k in range(3):
+        start, side = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
+        inside &= (np.cross(side, foot - start) * normal).sum(axis=1) >= 0.0
+        length = np.maximum((side**2).sum(axis=1), 1e-300)
+        along = np.clip(((points - start) * side).sum(axis=1) / length, 0.0, 1.0)
+        point = start + along[:, None] * side
+        away = ((points - point) ** 2).sum(axis=1)
+        nearer = away < best
+        best[nearer], closest[nearer] = away[nearer], point[nearer]
+    closest[inside] = foot[inside]
+    return closest
+
+
+def _mean_normals(
+    triangles: NDArray[Any],
+    centres: NDArray[Any],
+    points: NDArray[Any],
+    face: NDArray[Any],
+    reach: float,
+) -> NDArray[Any]:
+    """Unit normals (n, 3), weighted by area, of the surface within ``reach`` (m) of points."""
+    normals = _normals(triangles)
+    own = normals[face]
+    mean = own.copy()
+    for n, near in enumerate(cKDTree(centres).query_ball_point(points, reach)):
+        if near:
+            sides = normals[near] @ own[n]
+            mean[n] += (normals[near] * np.sign(sides)[:, None]).sum(axis=0)
+    unit: NDArray[Any] = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    return unit

@@ -1,0 +1,184 @@
+"""Two-phase flow of a powder bed in any closed vessel, in the frame that turns with it.
+
+The equations are those of `momentum`, in coordinates fixed to the vessel.  The wall is then at rest
+and so is powder that turns rigidly; gravity turns the other way, and with omega about +z the body
+force per mass is
+
+    g (-sin(omega t), -cos(omega t), 0) + omega^2 (x, y, 0) + 2 omega (u_y, -u_x, 0),
+
+Coriolis' part from the velocity of the step before.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import ngsolve as ngs
+import numpy as np
+from numpy.typing import NDArray
+
+from scaleup.api import Geometry, Material, level_height
+
+from .level_set import Transport
+from .momentum import Momentum
+from .parameters import Discretisation, Rheology
+from .rheology import Strength
+from .space_level_set import SpaceLevelSet
+from .two_phase import FlowDiverged
+from .viscosity import Viscosity
+
+_FIELDS = ("solution", "level_set", "viscosity")
+
+
+class VesselFlow:
+    """A powder bed, level and at rest at phase ``start`` (rad), advanced by :meth:`step`.
+
+    Attributes: ``phase`` (rad that the vessel has turned), ``velocity`` (VectorH1, order 2, m/s, in
+    the vessel's frame), ``pressure`` (H1, order 1, Pa), ``level_set``, and what steps have cost:
+    ``steps``, ``iterations`` of the linear solver and ``volume_moved``, the sum of the absolute
+    volumes restored, over the bed's.  Collective.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        mesh: Any,
+        material: Material,
+        rheology: Rheology,
+        numerics: Discretisation,
+        speed: float,
+        gravity: float,
+        volume: float,
+        start: float,
+        comm: Any,
+    ) -> None:
+        self.mesh, self.numerics, self._comm = mesh, numerics, comm
+        self.speed, self.volume, self.phase = speed, volume, start
+        self.steps = self.iterations = 0
+        self.volume_moved = 0.0
+        self._fastest = speed * geometry.reach + math.sqrt(4.0 * gravity * geometry.reach)
+        self.level_set = SpaceLevelSet(
+            mesh, numerics.interface_half_width, geometry.signed_distance, comm
+        )
+        self.level_set.set_level(level_height(geometry, volume), volume)
+        velocity_space = ngs.VectorH1(mesh, order=2)
+        linear = ngs.H1(mesh, order=1)
+        self._solution = ngs.GridFunction(velocity_space * linear)
+        self.velocity, self.pressure = self._solution.components
+        self._previous = ngs.GridFunction(velocity_space)
+        depth = ngs.IfPos(self.level_set.field, self.level_set.field, 0.0)
+        self.pressure.Set(material.bulk_density * gravity * depth)
+        self._step_length = ngs.Parameter(numerics.time_step)
+        self._gravity = (ngs.Parameter(0.0), ngs.Parameter(0.0))
+        self._gravity_now = gravity
+        alpha = self.level_set.fraction
+        self._viscosity = Viscosity(
+            self.velocity,
+            self.pressure,
+            alpha,
+            Strength.of(material, rheology),
+            material.bulk_density,
+            numerics,
+            self._step_length,
+            linear,
+        )
+        old = self._previous
+        force = ngs.CoefficientFunction(
+            (
+                self._gravity[0] + speed**2 * ngs.x + 2.0 * speed * old[1],
+                self._gravity[1] + speed**2 * ngs.y - 2.0 * speed * old[0],
+                0.0,
+            )
+        )
+        self._momentum = Momentum(
+            self._solution,
+            old,
+            self._viscosity,
+            alpha,
+            material,
+            numerics,
+            self._step_length,
+            gravity=force,
+            wall_velocity=ngs.CoefficientFunction((0.0, 0.0, 0.0)),
+        )
+        self.mean_velocity = 0.5 * (self.velocity + old)
+        self._transport = Transport(self.level_set, self.mean_velocity, self._step_length)
+        deep = ngs.IfPos(-self.level_set.field - numerics.interface_half_width, 1.0, 0.0)
+        self._air_pressure = ngs.CoefficientFunction((deep, deep * self.pressure))
+
+    @property
+    def unknowns(self) -> int:
+        """Of velocity and pressure, on all ranks."""
+        return int(self._solution.space.ndofglobal)
+
+    def step(self, length: float) -> None:
+        """Advance by ``length`` (s).
+
+        1. Filter shear rate and pressure, update the viscosity; 2. turn gravity to the end of the
+        step, solve for velocity and pressure, the latter zero on average in the air; 3. move the
+        level set, restore the bed's volume by a uniform shift of its surface.
+        """
+        self._step_length.Set(length)
+        self.phase += self.speed * length
+        self._gravity[0].Set(-self._gravity_now * math.sin(self.phase))
+        self._gravity[1].Set(-self._gravity_now * math.cos(self.phase))
+        self._viscosity.update()
+        self._momentum.step()
+        self.iterations += self._momentum.iterations
+        self._check_speed()
+        air, pressure = ngs.Integrate(self._air_pressure, self.mesh)
+        if air > 0.0:
+            self.pressure.vec.FV().NumPy()[:] -= pressure / air
+        self._transport.step()
+        if self.steps % self.numerics.redistance_every == 0:
+            self.level_set.redistance()
+        missing = self.level_set.restore_volume(self.volume)
+        self.volume_moved += abs(missing) / self.volume
+        self.steps += 1
+
+    def surface_angle(self) -> float:
+        """Inclination (rad) in the lab of the plane nearest to the surface, which is seen along
+        the axis of rotation; positive where it climbs towards +x.
+        """
+        triangles = self.level_set.surface()
+        centre = triangles.mean(axis=1)[:, :2]
+        sides = triangles[:, 1:] - triangles[:, :1]
+        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        deviation = centre - np.average(centre, axis=0, weights=area)
+        _, axes = np.linalg.eigh((deviation * area[:, None]).T @ deviation)
+        along = math.atan2(axes[1, 1], axes[0, 1]) + self.phase
+        return (along + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+
+    def _check_speed(self) -> None:
+        from mpi4py import MPI
+
+        corners = self.mesh.nv
+        components = self.velocity.vec.FV().NumPy().reshape(3, -1)[:, :corners]
+        powder = self.level_set.field.vec.FV().NumPy()[:corners] > 0.0
+        values = np.linalg.norm(components[:, powder], axis=0)
+        here = float(values.max(initial=0.0)) if np.isfinite(components).all() else math.inf
+        speed = self._comm.allreduce(here, MPI.MAX)
+        if not speed < self._fastest:
+            raise FlowDiverged(
+                f"The powder reached {speed:.3g} m/s at phase {self.phase:.4g} rad (step "
+                f"{self.steps}), beyond the {self._fastest:.3g} m/s of a free fall across the "
+                "vessel: halve flow.time_step."
+            )
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that :meth:`restore` needs to go on from here; this rank's part."""
+        values = {name: data.copy() for name, data in self._arrays().items()}
+        values["counters"] = np.array([self.phase, self.steps, self.iterations, self.volume_moved])
+        return values
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on from a :meth:`state`."""
+        for name, data in self._arrays().items():
+            data[:] = state[name]
+        self.phase, steps, iterations, self.volume_moved = state["counters"].tolist()
+        self.steps, self.iterations = int(steps), int(iterations)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        fields = (self._solution, self.level_set.field, self._viscosity.field)
+        return {name: field.vec.FV().NumPy() for name, field in zip(_FIELDS, fields, strict=True)}

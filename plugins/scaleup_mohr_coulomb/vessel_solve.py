@@ -1,0 +1,84 @@
+"""A scene in space, from the vessel's solid to its periodic FlowField."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+from scaleup.api import GRAVITY, FlowField, InputError, Progress, Scene, on_each
+
+from .parameters import Discretisation, Drive, Rheology
+from .revolutions import revolve
+from .space_mesh import vessel_mesh
+from .vessel_flow import VesselFlow
+from .vessel_grid import periodic_flow
+
+if TYPE_CHECKING:
+    from scaleup_mohr_coulomb import MohrCoulomb
+
+_ELEMENTS = 6.0  # across the reach
+_COARSEST = 3.0
+_STEPS = 8.0  # in sqrt(reach/g)
+_START = 0.75  # of the friction angle, up to which the level bed turns rigidly
+
+
+def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisation:
+    """The method's rules (`parameters.Discretisation`), for meshes of one element size.
+
+    Element size h = R/6 and time step sqrt(R/g)/8, for vessels that turn for whole revolutions on a
+    mesh that the surface sweeps all of; the filter length is at least h/3, since nothing shorter is
+    seen: a numerical length, which shrinks with the mesh until the rule of 2-D is met.
+    """
+    reach = scene.geometry.reach
+    size = options.fine_size or reach / _ELEMENTS
+    if options.coarse_size is not None:
+        raise InputError(
+            f"flow.coarse_size = {options.coarse_size:g} m: a vessel in space has elements of one "
+            "size; set flow.fine_size"
+        )
+    if size > reach / _COARSEST:
+        raise InputError(
+            f"flow.fine_size = {size:g} m: must be at most a third of the vessel's reach, "
+            f"{reach / _COARSEST:.3g} m"
+        )
+    numerics = Discretisation.by_rule(
+        scene.material,
+        Drive(bed_area=scene.fill_volume / (2.0 * reach), angular_velocity=scene.speed),
+        reach,
+        size,
+        size,
+        options.time_step or math.sqrt(reach / GRAVITY) / _STEPS,
+        options.filter_length,
+        options.predictor_length,
+    )
+    seen = max(numerics.filter_length, size / 3.0)
+    return dataclasses.replace(numerics, filter_length=options.filter_length or seen)
+
+
+def vessel_flow(
+    scene: Scene, options: MohrCoulomb.Options, comm: Any, progress: Progress
+) -> FlowField | None:
+    """Solve for a periodic flow in the vessel's frame; collective, the FlowField on rank 0."""
+    geometry = scene.geometry
+    numerics = on_each(comm, lambda: numerics_in_space(scene, options))
+    still = int(_START * scene.material.friction_angle / (2.0 * math.pi) * options.intervals)
+    flow = VesselFlow(
+        geometry,
+        vessel_mesh(geometry.solid, numerics.fine_size, comm),
+        scene.material,
+        Rheology.by_literature(
+            options.rheology,
+            options.friction_rise,
+            options.inertial_number_0,
+            options.tensile_strength,
+        ),
+        numerics,
+        scene.speed,
+        GRAVITY,
+        scene.fill_volume,
+        2.0 * math.pi * still / options.intervals,
+        comm,
+    )
+    run = revolve(flow, options.intervals, still, options.revolutions, progress)
+    return periodic_flow(flow, run, scene, comm, progress)
