@@ -123,10 +123,14 @@ class AssembledBlock:
 
 
 class PositiveSolver:
-    """Conjugate gradients for a symmetric, positive definite form near a mass matrix."""
+    """Conjugate gradients for a symmetric, positive definite form.
 
-    def __init__(self, form: Any) -> None:
+    The default preconditioner (ILU(0) on each rank) is for forms near a mass matrix.
+    """
+
+    def __init__(self, form: Any, preconditioner: str = "bjacobi") -> None:
         self._form, self._block = form, None
+        self._preconditioner = preconditioner
         self._numbering: Numbering | None = None
 
     def update(self) -> None:
@@ -135,7 +139,7 @@ class PositiveSolver:
             self._numbering = Numbering(self._form.space)
             self._block = AssembledBlock(self._form, self._numbering, self._numbering)
             self._block.update()
-            self._ksp = _solver(self._block.matrix, "bjacobi", "cg")
+            self._ksp = _solver(self._block.matrix, self._preconditioner, "cg")
             self._ksp.setTolerances(rtol=1e-10, max_it=1000)
             self._right, self._left = self._block.matrix.createVecs()
         self._block.update()
@@ -145,7 +149,7 @@ class PositiveSolver:
         load.Cumulate()
         self._left.setArray(self._numbering.owned(load.FV().NumPy()))
         self._ksp.solve(self._left, self._right)
-        _require_converged(self._ksp, "a filter or the level set")
+        _require_converged(self._ksp, "a filter, a projection or the level set")
         solution.FV().NumPy()[:] = self._numbering.to_local(self._right.getArray())
 
 

@@ -78,8 +78,10 @@ def balance(
     What a group has gained is taken from its cells that are not full, in proportion to what they
     hold; what it has lost is added in proportion to their room.  All arrays are over the region.
     """
-    count, group = faces.groups()
     fixed = end.copy()
+    if len(fixed) == 0:
+        return fixed, 0.0
+    count, group = faces.groups()
     for _ in range(_PASSES):
         gained = np.bincount(group, fixed - start, count)[group]
         partly = (fixed > 0.0) & (fixed < capacity)
@@ -131,7 +133,7 @@ def closed_fluxes(
     solution, load = system.createVecs()
     for _ in range(_PASSES):
         missing = demand - faces.outflow(flux)
-        if np.abs(missing).max() <= _BALANCED * cell_rate:
+        if np.abs(missing).max(initial=0.0) <= _BALANCED * cell_rate:
             break
         missing -= (np.bincount(group, missing, count) / np.bincount(group, None, count))[group]
         load.setArray(missing)

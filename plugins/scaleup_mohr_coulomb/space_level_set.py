@@ -170,7 +170,7 @@ class SpaceLevelSet:
         triangles = self.surface()
         centres = triangles.mean(axis=1)
         _, nearest = cKDTree(centres).query(self._nodes, k=min(_NEIGHBOURS, len(centres)))
-        nearest = nearest.reshape(len(self._nodes), -1)
+        nearest = nearest.reshape(len(self._nodes), min(_NEIGHBOURS, len(centres)))
         distance = np.full(len(self._nodes), np.inf)
         closest = np.zeros_like(self._nodes)
         face = np.zeros(len(self._nodes), dtype=int)

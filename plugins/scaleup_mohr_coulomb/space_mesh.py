@@ -14,10 +14,11 @@ from scaleup.api import on_root
 _GRADING = 0.5
 
 
-def distributed(build: Callable[[], Any], comm: Any) -> Any:
+def distributed(build: Callable[[], Any], comm: Any, geometry: Any = None) -> Any:
     """The NGSolve mesh of the netgen mesh that ``build`` makes, on all ranks of ``comm``.
 
     The first rank makes it and, if there are others, keeps none of its elements (NGSolve's rule).
+    Each of the others needs the netgen ``geometry`` if the mesh is to be curved: it is not sent.
     """
     ngs.SetNumThreads(1)
     if comm.size == 1:
@@ -26,10 +27,17 @@ def distributed(build: Callable[[], Any], comm: Any) -> Any:
     on_root(comm, lambda: kept.append(build()))
     if comm.rank == 0:
         return ngs.Mesh(kept[0].Distribute(comm))
-    return ngs.Mesh(netgen.meshing.Mesh.Receive(comm))
+    part = netgen.meshing.Mesh.Receive(comm)
+    if geometry is not None:
+        part.SetGeometry(geometry)
+    return ngs.Mesh(part)
 
 
-def vessel_mesh(solid: Any, size: float, comm: Any) -> Any:
-    """Tetrahedra of ``size`` (m) in a netgen OCC solid; curved walls to second order."""
-    mesh = distributed(lambda: OCCGeometry(solid).GenerateMesh(maxh=size, grading=_GRADING), comm)
-    return mesh.Curve(2)
+def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any) -> Any:
+    """Tetrahedra of ``size`` (m) in the netgen OCC ``solid()``; curved walls to second order."""
+    geometry = OCCGeometry(solid())
+
+    def build() -> Any:
+        return geometry.GenerateMesh(maxh=size, grading=_GRADING)
+
+    return distributed(build, comm, geometry).Curve(2)

@@ -25,6 +25,7 @@ from .momentum import Momentum
 from .parameters import Discretisation, Rheology
 from .rheology import Strength
 from .space_level_set import SpaceLevelSet
+from .space_velocity import LessDivergent
 from .two_phase import FlowDiverged
 from .viscosity import Viscosity
 
@@ -102,8 +103,8 @@ class VesselFlow:
             gravity=force,
             wall_velocity=ngs.CoefficientFunction((0.0, 0.0, 0.0)),
         )
-        self.mean_velocity = 0.5 * (self.velocity + old)
-        self._transport = Transport(self.level_set, self.mean_velocity, self._step_length)
+        self._mover = LessDivergent(0.5 * (self.velocity + old), mesh)
+        self._transport = Transport(self.level_set, self._mover.field, self._step_length)
         deep = ngs.IfPos(-self.level_set.field - numerics.interface_half_width, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep, deep * self.pressure))
 
@@ -130,6 +131,7 @@ class VesselFlow:
         air, pressure = ngs.Integrate(self._air_pressure, self.mesh)
         if air > 0.0:
             self.pressure.vec.FV().NumPy()[:] -= pressure / air
+        self._mover.update()
         self._transport.step()
         if self.steps % self.numerics.redistance_every == 0:
             self.level_set.redistance()

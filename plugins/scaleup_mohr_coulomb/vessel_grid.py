@@ -198,7 +198,7 @@ class _Builder:
         active = (start > 0.0) | (end > 0.0)
         full = (start == capacity) & (end == capacity)
         moves = active & (speed > self._threshold)
-        region = active & (moves | ~full) if motion is not None else np.zeros_like(active)
+        region = active & (moves | ~full)
         region |= active & _neighbours(region)
         faces = self._faces(region)
         if last and self._gains(faces, start, end) > 1e-12 * grid.cell_volume:

@@ -1,0 +1,192 @@
+"""The Mohr-Coulomb flow in space: surface, rest and yield, solver, and what is put on the grid."""
+
+import math
+from types import SimpleNamespace
+
+import ngsolve as ngs
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from scaleup.config import compose, fill_volume
+from scaleup.errors import InputError
+from scaleup.flow_source import make_grid
+from scaleup.grid import Grid
+from scaleup.scene import GRAVITY
+from scaleup.testing import check_flow
+from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
+from scaleup_mohr_coulomb.revolutions import Turned
+from scaleup_mohr_coulomb.space_level_set import _inside_fraction
+from scaleup_mohr_coulomb.vessel_grid import periodic_flow
+from scaleup_mohr_coulomb.vessel_solve import numerics_in_space
+from vessel_in_space import NOMINAL_SPEED, drum_flow
+
+COMM = MPI.COMM_SELF
+
+
+@pytest.fixture(scope="module")
+def drum():
+    return drum_flow(COMM)
+
+
+def test_the_part_of_a_tetrahedron_on_one_side_of_a_plane():
+    """Against a fine sum over barycentric coordinates, and the closed form of a corner cut off."""
+    rng = np.random.default_rng(1)
+    points = rng.dirichlet(np.ones(4), 200_000)
+    values = rng.normal(size=(20, 4))
+    counted = (points @ values.T > 0).mean(axis=0)
+    assert np.abs(_inside_fraction(values) - counted).max() < 6e-3
+    assert _inside_fraction(np.array([1.0, -1.0, -1.0, -1.0])) == pytest.approx(1 / 8, rel=1e-4)
+    assert _inside_fraction(np.array([1.0, 1.0, -1.0, -1.0])) == pytest.approx(1 / 2, rel=1e-4)
+
+
+def test_the_surface_in_space_is_a_plane_that_redistancing_keeps(drum):
+    """A level bed: its volume, the area of its surface, and phi once it was twice the distance."""
+    level_set = drum.level_set
+    level_set.set_level(-0.02, drum.volume)
+    assert level_set.volume() == pytest.approx(drum.volume, rel=1e-6)
+    height = float(np.mean(level_set.surface()[..., 1]))
+    sides = np.diff(level_set.surface(), axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
+    assert area == pytest.approx(0.05 * 2 * math.sqrt(0.07**2 - height**2), rel=5e-3)
+    level_set.field.vec.FV().NumPy()[:] *= 2.0
+    level_set.redistance()
+    error = level_set.field - (height - ngs.y)
+    rms = math.sqrt(ngs.Integrate(error * error, drum.mesh) / ngs.Integrate(1.0, drum.mesh))
+    assert rms < 2e-4  # of a vessel of 140 mm, surface and wall included
+
+
+def mean_speed(flow):
+    """Of the powder, m/s."""
+    powder = flow.level_set.fraction
+    speed = ngs.Integrate(powder * ngs.Norm(flow.velocity), flow.mesh)
+    return speed / ngs.Integrate(powder, flow.mesh)
+
+
+@pytest.mark.parametrize(("tilt", "most"), [(0.0, 2e-4), (15.0, 2.8e-3)])
+def test_a_bed_below_its_friction_angle_rests_under_hydrostatic_pressure(tilt, most):
+    """2.8e-3 m/s is the creep that the regularisation allows at the wall; friction angle 23.6."""
+    flow = drum_flow(COMM, tilt=tilt, speed=0.0)
+    for _ in range(12):
+        flow.step(0.01)
+    assert mean_speed(flow) < most
+    deep = ngs.IfPos(flow.level_set.field - 0.02, 1.0, 0.0)  # below the blurred surface
+    slope = ngs.Integrate(deep * ngs.grad(flow.pressure)[1], flow.mesh)
+    hydrostatic = -1500 * GRAVITY * math.cos(math.radians(tilt))
+    assert slope / ngs.Integrate(deep, flow.mesh) == pytest.approx(hydrostatic, rel=0.05)
+
+
+def test_a_bed_above_its_friction_angle_avalanches():
+    """From 40 deg the same bed falls towards 23.6 deg, at ten times the creep and more."""
+    flow = drum_flow(COMM, tilt=40.0, speed=0.0)
+    for _ in range(12):
+        flow.step(0.01)
+    assert mean_speed(flow) > 2.8e-2
+    assert math.degrees(flow.surface_angle()) < 37.0
+
+
+def test_iterations_hardly_depend_on_the_mesh():
+    """Within a factor of two from 3e3 to 1.6e4 unknowns."""
+    counts = {}
+    for size in (0.02, 0.014, 0.0095):
+        flow = drum_flow(COMM, size, tilt=28.0)
+        for _ in range(3):
+            flow.step(0.01)
+        counts[flow.unknowns] = flow.iterations / flow.steps
+    assert max(counts) > 5 * min(counts)
+    assert max(counts.values()) < 2.0 * min(counts.values()), counts
+
+
+def test_closed_fluxes_are_exact_and_leave_a_balanced_flow_alone():
+    """Random fills and fluxes on two separate parts; then the demand those fluxes have already."""
+    rng = np.random.default_rng(3)
+    grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (8, 6, 6))
+    region = np.zeros(grid.shape, dtype=bool)
+    region[1:5, 1:5, 1:3] = region[1:5, 1:5, 4:7] = True
+    faces = Faces.between(grid, region, [np.ones(grid.shape, dtype=bool)] * 3)
+    assert faces.groups()[0] == 2
+    n = len(faces.cells)
+    start, capacity = rng.uniform(0.2, 1.0, n), np.ones(n)
+    end, moved = balance(faces, start, rng.uniform(0.0, 1.0, n), capacity)
+    count, group = faces.groups()
+    assert np.abs(np.bincount(group, end - start, count)).max() < 1e-12
+    assert end.min() >= 0.0
+    assert end.max() <= 1.0
+    assert moved > 0.0
+    given, wet = rng.normal(size=len(faces.axis)), rng.uniform(0.1, 1.0, len(faces.axis))
+    flux = closed_fluxes(faces, given, wet, start - end, 1.0)
+    assert np.abs(start - end - faces.outflow(flux)).max() < 1e-12
+    assert np.abs(closed_fluxes(faces, given, wet, faces.outflow(given), 1.0) - given).max() < 1e-12
+    # nearest: the change is a gradient, so no circulation round the four cells of a square
+    loop = (flux - given) / wet
+    number = np.full(grid.cells, -1)
+    number[faces.cells] = np.arange(n)
+    at = {
+        (a, lo, up): v
+        for a, lo, up, v in zip(faces.axis, faces.lower, faces.upper, loop, strict=True)
+    }
+    a, b, c, d = (number[np.ravel_multi_index(p, grid.shape)] for p in
+                  ((2, 2, 4), (2, 2, 5), (2, 3, 5), (2, 3, 4)))  # fmt: skip
+    assert at[0, a, b] + at[1, b, c] - at[0, d, c] - at[1, a, d] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_turned_bed_becomes_a_periodic_flow_field(drum):
+    """A plane bed that stays at 25 deg in the lab: contract, volume, and the drum's mean flux."""
+    config = compose(
+        None, ["geometry.length='5 cm'", "grid.cells=4000"], {"geometry": {"name": "drum"}}
+    )
+    per_revolution, level = 24, drum.level_set
+    levels, angle = [], math.radians(25.0)
+    for number in range(2 * per_revolution + 1):
+        lean = angle - 2 * math.pi * number / per_revolution if number > 1 else 0.0
+        plane = -math.sin(lean) * ngs.x + math.cos(lean) * ngs.y
+        level.field.Set(-0.02 - plane)
+        level.restore_volume(drum.volume)
+        levels.append(level.field.vec.FV().NumPy().copy())
+    still = np.zeros(len(drum.velocity.vec))
+    run = Turned(
+        levels=levels,
+        velocities=[None, *[still] * (2 * per_revolution - 1)],
+        angles=[angle] * len(levels),
+        per_revolution=per_revolution,
+        prefix=per_revolution,
+        mismatch=0.0,
+    )
+    scene = SimpleNamespace(
+        geometry=config.plugin("geometry"),
+        grid=make_grid(config),
+        fill_volume=fill_volume(config),
+        speed=NOMINAL_SPEED,
+        material=config.material,
+    )
+    flow = periodic_flow(drum, run, scene, COMM, lambda *_: None)
+    check_flow(flow, scene.geometry, scene.fill_volume)
+    assert flow.frame == "vessel"
+    assert len(flow.intervals[0].flux[0]) > 1000
+    assert not flow.intervals[0].flux.any()  # turns rigidly
+    # what crosses mid-bed relative to rigid rotation is omega/2 (R^2 - b^2) per length
+    assert flow.period == pytest.approx(2 * math.pi / NOMINAL_SPEED)
+    assert all(flow.intervals[k].flux.any() for k in range(2, 2 * per_revolution))
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        (["flow.coarse_size='20 mm'"], "elements of one size"),
+        (["flow.fine_size='30 mm'"], "at most a third of the vessel's reach"),
+    ],
+)
+def test_what_a_mesh_in_space_cannot_be(asked, says):
+    config = compose(
+        None,
+        ["geometry.length='5 cm'", *asked],
+        {"geometry": {"name": "drum"}, "flow": {"name": "mohr-coulomb"}},
+    )
+    scene = SimpleNamespace(
+        geometry=config.plugin("geometry"),
+        material=config.material,
+        fill_volume=fill_volume(config),
+        speed=1.0,
+    )
+    with pytest.raises(InputError, match=says):
+        numerics_in_space(scene, config.options("flow"))

@@ -1,0 +1,33 @@
+"""A small drum with end walls for the finite elements in space."""
+
+import dataclasses
+import math
+
+from scaleup.config import compose, fill_volume
+from scaleup.scene import GRAVITY
+from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
+from scaleup_mohr_coulomb.space_mesh import vessel_mesh
+from scaleup_mohr_coulomb.vessel_flow import VesselFlow
+
+NOMINAL_SPEED = 2.0
+
+
+def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, **changes):
+    """A flow in a drum of 140 mm by 50 mm that begins with the level bed tilted (deg)."""
+    config = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
+    geometry, volume = config.plugin("geometry"), fill_volume(config)
+    numerics = Discretisation.by_rule(
+        config.material, Drive(1.0, NOMINAL_SPEED), geometry.reach, size, size, 0.01, size / 3
+    )
+    return VesselFlow(
+        geometry,
+        vessel_mesh(geometry.solid, size, comm),
+        config.material,
+        Rheology(),
+        dataclasses.replace(numerics, **changes),
+        speed,
+        GRAVITY,
+        volume,
+        math.radians(tilt),
+        comm,
+    )
