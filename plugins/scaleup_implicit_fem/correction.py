@@ -28,7 +28,7 @@ from scaleup_implicit_fem.operators import EMPTY
 from scaleup_implicit_fem.unknowns import Unknowns
 
 _ROUND_OFF = 1e-14  # beyond the bounds that needs no correction
-_PASSES = 60
+_PASSES = 20
 _ENOUGH = 1e-7  # content of a full cell: passes that move less are not worth it
 _LOOK_EVERY = 4
 

@@ -25,8 +25,11 @@ Per cell i, with phi the fill fraction and all of it over a cell's volume,
   other, the exact form of the mixed derivatives with the element's mean gradient. That one is taken
   wherever four cells hold material.
 
-The low order takes the flux upwind and leaves out mass and mixed derivatives: its implicit matrix
-is one of positive type (an M-matrix).
+The low order takes the same fluxes q upwind, those of the diagonals too, and leaves out mass and
+mixed derivatives: its implicit matrix is one of positive type (an M-matrix). What the high order
+adds to it is then proportional to differences of c. (Upwind through the faces alone, it lacks a
+circulation between faces and diagonals, as great in a uniform c as elsewhere: the limiter takes
+that for antidiffusion, and runs out of passes before what matters is put back.)
 
 Pairs with a cell that is empty at one end of the interval take the flux upwind in both.
 """
@@ -116,7 +119,7 @@ def find_pairs(
             (behind_a, behind_b, u_a - u_b, -mixed),
         ):
             none = np.zeros_like(q)
-            parts = (from_, to, q, none, k, none, diagonal_mass, none)
+            parts = (from_, to, q, k, none, diagonal_mass, none)
             diagonals.append([part[used] for part in parts])
     faces = []
     for axis in range(dimension):
@@ -126,17 +129,17 @@ def find_pairs(
         k = mean * np.minimum(start[here], start[behind]) / h[axis] ** 2
         faces.append(
             [
-                behind, here, flux[axis, here], through[axis, here], k, k, mass[axis, here],
+                behind, here, flux[axis, here], k, k, mass[axis, here],
                 whole[here] & whole[behind],
             ]
         )  # fmt: skip
     joined = [np.concatenate(parts) for parts in zip(*faces, *diagonals, strict=True)]
     first, second = joined[:2]
     coupled = (number[first] >= 0) & (number[second] >= 0) & (number[first] != number[second])
-    first, second, q, upwind, k, k_low, m, smooth = (part[coupled] for part in joined)
+    first, second, q, k, k_low, m, smooth = (part[coupled] for part in joined)
     fills = (start <= EMPTY) | (end <= EMPTY)
     blunt = fills[first] | fills[second]
-    low = np.stack([np.maximum(upwind, 0) + k_low, np.minimum(upwind, 0) - k_low])
+    low = np.stack([np.maximum(q, 0) + k_low, np.minimum(q, 0) - k_low])
     high = np.stack([0.5 * q + k, 0.5 * q - k])
     return Pairs(number[first], number[second], np.where(blunt, low, high), low, m, smooth > 0)
 

@@ -86,7 +86,7 @@ def test_far_longer_steps_are_stable_and_bounded(name, courant):
 
 def test_jumps_are_kept_sharp_within_bounds():
     result = run(problems()["zalesak"], backend(), 100)
-    assert result.l1 <= 0.2
+    assert result.l1 <= 0.21
     assert result.minimum >= -ROUND_OFF
     assert result.maximum <= 1 + ROUND_OFF
 
