@@ -100,7 +100,7 @@ class MohrCoulomb:
         if scene.geometry.dimension == 3:
             from scaleup_mohr_coulomb.vessel_solve import vessel_flow
 
-            return vessel_flow(scene, self.options, comm, progress)
+            return vessel_flow(scene, self.options, comm, progress, memory)
 
         def work() -> FlowField:
             from scaleup_mohr_coulomb.on_grid import flow_field

@@ -26,11 +26,14 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import RunError
-
 _RELATIVE_RESIDUAL = 1.0e-7
+_POSITIVE_RESIDUAL = 1.0e-8
 _MOST_ITERATIONS = 400
 _RESTART = 100
+
+
+class NotSolved(FloatingPointError):  # noqa: N818
+    """A linear system was not solved, most likely because the flow runs away."""
 
 
 class Numbering:
@@ -140,14 +143,16 @@ class PositiveSolver:
             self._block = AssembledBlock(self._form, self._numbering, self._numbering)
             self._block.update()
             self._ksp = _solver(self._block.matrix, self._preconditioner, "cg")
-            self._ksp.setTolerances(rtol=1e-10, max_it=1000)
+            self._ksp.setTolerances(rtol=_POSITIVE_RESIDUAL, max_it=1000)
+            self._ksp.setInitialGuessNonzero(True)
             self._right, self._left = self._block.matrix.createVecs()
         self._block.update()
 
     def solve(self, load: Any, solution: Any) -> None:
-        """Solution of matrix * solution = load (NGSolve vectors)."""
+        """Solution of matrix * solution = load (NGSolve vectors); begins at the solution given."""
         load.Cumulate()
         self._left.setArray(self._numbering.owned(load.FV().NumPy()))
+        self._right.setArray(self._numbering.owned(solution.FV().NumPy()))
         self._ksp.solve(self._left, self._right)
         _require_converged(self._ksp, "a filter, a projection or the level set")
         solution.FV().NumPy()[:] = self._numbering.to_local(self._right.getArray())
@@ -298,7 +303,7 @@ def _solver(matrix: Any, preconditioner: str, method: str = "preonly") -> Any:
 
 def _require_converged(ksp: Any, what: str) -> None:
     if ksp.getConvergedReason() <= 0:
-        raise RunError(
-            f"the linear system of {what} was not solved in {ksp.getIterationNumber()} iterations "
-            f"(residual {ksp.getResidualNorm():.2g}): halve flow.time_step"
+        raise NotSolved(
+            f"The linear system of {what} was not solved in {ksp.getIterationNumber()} iterations "
+            f"(residual {ksp.getResidualNorm():.2g}): halve flow.time_step."
         )

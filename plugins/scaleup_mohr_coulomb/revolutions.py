@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from scaleup.api import RunError
 
+from .block_solver import NotSolved
 from .two_phase import FlowDiverged
 
 if TYPE_CHECKING:
@@ -47,30 +49,36 @@ class Turned:
     seconds: float = 0.0
 
 
-def revolve(
-    flow: VesselFlow,
-    per_revolution: int,
-    still: int,
-    most_revolutions: int,
-    progress: Progress,
-) -> Turned:
-    """Turn the vessel by whole revolutions until the last two agree; collective.
-
-    1. The bed turns rigidly in the first ``still`` intervals, as far as ``flow`` starts; 2. each of
-    the others is taken in equal steps, no longer than the method's; where the flow diverges, the
-    run goes back by up to two intervals and halves the step for a while; 3. at the end of each
-    revolution but the first the bed is compared with that of one before.
-    """
-    began = clock.perf_counter()
-    length = 2.0 * math.pi / flow.speed / per_revolution
-    nominal = max(1, math.ceil(length / flow.numerics.time_step - 1e-9))
-    level = flow.level_set.field.vec.FV().NumPy
-    run = Turned(
-        levels=[level().copy() for _ in range(still + 1)],
+def level_bed(flow: VesselFlow, per_revolution: int, still: int) -> Turned:
+    """The run that begins with ``still`` intervals in which the level bed turns rigidly."""
+    level = flow.level_set.field.vec.FV().NumPy()
+    return Turned(
+        levels=[level.copy() for _ in range(still + 1)],
         velocities=[None] * still,
         angles=[0.0] * (still + 1),
         per_revolution=per_revolution,
     )
+
+
+def revolve(
+    flow: VesselFlow,
+    run: Turned,
+    most_revolutions: int,
+    progress: Progress,
+    keep: Callable[[Turned], None],
+) -> None:
+    """Turn the vessel by whole revolutions until the last two agree; collective.
+
+    Each interval is taken in equal steps, no longer than the method's; where the flow diverges, the
+    run goes back by up to two intervals and halves the step for a while.  At the end of each
+    revolution but the first the bed is compared with that of one before.  ``run`` is added to, from
+    where ``flow`` is, and ``keep`` is called after every interval.
+    """
+    began = clock.perf_counter() - run.seconds
+    per_revolution = run.per_revolution
+    length = 2.0 * math.pi / flow.speed / per_revolution
+    nominal = max(1, math.ceil(length / flow.numerics.time_step - 1e-9))
+    level = flow.level_set.field.vec.FV().NumPy
     kept: deque[dict[str, NDArray[Any]]] = deque(maxlen=_KEPT)
     halvings = calm = 0
     while True:
@@ -83,7 +91,7 @@ def revolve(
         kept.append(flow.state())
         try:
             mean = _interval(flow, length, nominal * 2**halvings)
-        except FlowDiverged as error:
+        except (FlowDiverged, NotSolved) as error:
             if halvings == _MOST_HALVINGS:
                 raise RunError(f"{error} (It had been halved {halvings} times.)") from error
             back = len(kept) - 1
@@ -110,8 +118,8 @@ def revolve(
             f"{math.degrees(run.angles[-1]):.1f} deg, {flow.iterations / flow.steps:.0f} "
             f"iterations a step" + (f", {run.retries} retries" if run.retries else ""),
         )
-    run.seconds = clock.perf_counter() - began
-    return run
+        run.seconds = clock.perf_counter() - began
+        keep(run)
 
 
 def _interval(flow: VesselFlow, length: float, steps: int) -> NDArray[Any]:

@@ -9,7 +9,7 @@ import netgen.meshing
 import ngsolve as ngs
 from netgen.occ import OCCGeometry
 
-from scaleup.api import on_root
+from scaleup.api import on_each, on_root
 
 _GRADING = 0.5
 
@@ -35,7 +35,7 @@ def distributed(build: Callable[[], Any], comm: Any, geometry: Any = None) -> An
 
 def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any) -> Any:
     """Tetrahedra of ``size`` (m) in the netgen OCC ``solid()``; curved walls to second order."""
-    geometry = OCCGeometry(solid())
+    geometry = on_each(comm, lambda: OCCGeometry(solid()))
 
     def build() -> Any:
         return geometry.GenerateMesh(maxh=size, grading=_GRADING)

@@ -36,6 +36,9 @@ _STILL = 0.01  # of the rim's speed: slower powder between full cells is at rest
 _NARROW = 1e-3  # of a face's open area counts as wet at least where both cells hold powder
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
 _MARGIN_CELLS = 2.0  # cells beyond the wall at whose corners the level set is wanted
+_SLIDING = 0.8  # rotation of the bed over the vessel's below which it does not turn along
+_BALANCED = 1e-12  # of a cell's volume that a group of cells may gain
+_DEEP = 1.0 / 3.0  # of the reach below the surface: deep in the bed
 _LAYER_ELEMENTS = 3.0  # elements across a layer of reach/5, below which it is not resolved
 
 
@@ -123,7 +126,7 @@ def periodic_flow(
         ),
         prefix=run.prefix,
         summary=_summary(flow, run, builder),
-        warnings=_warnings(flow, run, scene),
+        warnings=_warnings(flow, run, scene, builder),
     )
 
 
@@ -148,6 +151,29 @@ class _Builder:
         self._repeated = np.zeros(0)
         self.parts: list[CompactInterval] = []
         self.moved = self.change = self.square = 0.0
+        self._corners = grid.corner_points()[near]
+        self.surface_speed = self._turned = self._turnable = 0.0
+
+    @property
+    def rotation_ratio(self) -> float | None:
+        """Mean rotation of powder deep in the bed over the vessel's, in the last revolution.
+
+        None if the bed is nowhere that deep.
+        """
+        return 1.0 + self._turned / self._turnable if self._turnable else None
+
+    def _look_at(self, level: FloatArray, motion: NDArray[Any]) -> None:
+        """Measure speeds (m/s) relative to rigid rotation near the surface and deep in the bed."""
+        grid, scene = self._scene.grid, self._scene
+        inside = self._wall[self._near] > 0.0
+        top = inside & (level > 0.0) & (level < grid.spacing[0])
+        speed = np.linalg.norm(motion[top], axis=1)
+        self.surface_speed = max(self.surface_speed, float(speed.max(initial=0.0)))
+        deep = inside & (level > _DEEP * scene.geometry.reach)
+        x, y = self._corners[deep, :2].T
+        rigid = scene.speed * np.stack([-y, x], axis=1)
+        self._turned += float((motion[deep, :2] * rigid).sum())
+        self._turnable += float((rigid**2).sum())
 
     def add(
         self,
@@ -171,6 +197,8 @@ class _Builder:
             fill = np.where(full, self.capacity, np.minimum(fill, self.capacity))
         else:
             fill = self._repeated
+        if number > prefix and motion is not None:
+            self._look_at(whole[self._near], motion)
         if number:
             mean = np.minimum(0.5 * (whole + self._surface), self._wall)
             fill = self._interval(fill, mean, motion, number, last=number == total)
@@ -201,9 +229,8 @@ class _Builder:
         region = active & (moves | ~full)
         region |= active & _neighbours(region)
         faces = self._faces(region)
-        if last and self._gains(faces, start, end) > 1e-12 * grid.cell_volume:
-            region = active
-            faces = self._faces(region)
+        if last:
+            region, faces = self._joined(region, active, start, end)
         cells = faces.cells
         first, final = start.reshape(-1)[cells], end.reshape(-1)[cells]
         if not last:
@@ -241,6 +268,24 @@ class _Builder:
             )
         )
         return end
+
+    def _joined(
+        self, region: NDArray[Any], active: NDArray[Any], start: FloatArray, end: FloatArray
+    ) -> tuple[NDArray[Any], Faces]:
+        """The region, or so much more of the vessel that no group of its cells gains anything.
+
+        The end of the last interval is given, so that what little a group apart from the others
+        lacks must pass through cells at rest or empty.
+        """
+        grid, open_cells = self._scene.grid, self.capacity > 0.0
+        faces = self._faces(region)
+        wider = region | active
+        while self._gains(faces, start, end) > _BALANCED * grid.cell_volume:
+            if (wider == region).all():
+                break
+            region, faces = wider, self._faces(wider)
+            wider = region | (open_cells & _neighbours(region))
+        return region, faces
 
     def _faces(self, region: NDArray[Any]) -> Faces:
         return Faces.between(self._scene.grid, region, [share > 0.0 for share in self._open])
@@ -364,12 +409,19 @@ def _summary(flow: VesselFlow, run: Turned, builder: _Builder) -> dict[str, Any]
         "surface_angle_spread_deg": float(angles.std()),
         "surface_angle_source": "solved: mean over the last revolution of the inclination of the "
         "plane through the free surface",
-        "surface_speed_max": None,
-        "surface_speed_max_reason": reason,
+        "surface_speed_max": builder.surface_speed,
+        "surface_speed_definition": "greatest of the last revolution within a cell of the surface, "
+        "relative to the vessel",
         "active_layer_thickness": None,
         "active_layer_thickness_reason": reason,
-        "solid_body_ratio": None,
-        "solid_body_ratio_reason": reason,
+        "solid_body_ratio": builder.rotation_ratio,
+        "solid_body_ratio_definition": "rotation over the vessel's of powder deeper than a third "
+        "of the reach",
+        **(
+            {"solid_body_ratio_reason": "the bed is nowhere that deep"}
+            if builder.rotation_ratio is None
+            else {}
+        ),
         "flux_midbed": None,
         "flux_midbed_reason": reason,
         "volume_drift": flow.volume_moved,
@@ -387,7 +439,7 @@ def _summary(flow: VesselFlow, run: Turned, builder: _Builder) -> dict[str, Any]
     }
 
 
-def _warnings(flow: VesselFlow, run: Turned, scene: Scene) -> tuple[str, ...]:
+def _warnings(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) -> tuple[str, ...]:
     """Sentences on where the model or its periodic part may not hold."""
     found = []
     froude, reach = froude_number(scene.geometry, scene.speed), scene.geometry.reach
@@ -402,6 +454,12 @@ def _warnings(flow: VesselFlow, run: Turned, scene: Scene) -> tuple[str, ...]:
             f"elements of {1e3 * size:.3g} mm do not resolve a flowing layer of about "
             f"{200 * reach:.3g} mm: speeds and angles change with the mesh; refine flow.fine_size "
             f"to {1e3 * reach / 15.0:.2g} mm"
+        )
+    ratio = builder.rotation_ratio
+    if ratio is not None and ratio < _SLIDING:
+        found.append(
+            f"the bed turns at {ratio:.2f} of the vessel's speed deep below its surface: it slides "
+            "or creeps instead of turning with the vessel"
         )
     if run.mismatch > REPEATS:
         found.append(

@@ -6,13 +6,14 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from scaleup.api import GRAVITY, FlowField, InputError, Progress, Scene, on_each
+from scaleup.api import GRAVITY, FlowField, InputError, Memory, Progress, Scene, on_each
 
 from .parameters import Discretisation, Drive, Rheology
-from .revolutions import revolve
+from .revolutions import level_bed, revolve
 from .space_mesh import vessel_mesh
 from .vessel_flow import VesselFlow
 from .vessel_grid import periodic_flow
+from .vessel_memory import TurnedMemory
 
 if TYPE_CHECKING:
     from scaleup_mohr_coulomb import MohrCoulomb
@@ -57,22 +58,26 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
 
 
 def vessel_flow(
-    scene: Scene, options: MohrCoulomb.Options, comm: Any, progress: Progress
+    scene: Scene, options: MohrCoulomb.Options, comm: Any, progress: Progress, memory: Memory
 ) -> FlowField | None:
-    """Solve for a periodic flow in the vessel's frame; collective, the FlowField on rank 0."""
+    """Solve for a periodic flow in the vessel's frame; collective, the FlowField on rank 0.
+
+    What the finite elements find does not depend on the grid, and is kept without it.
+    """
     geometry = scene.geometry
     numerics = on_each(comm, lambda: numerics_in_space(scene, options))
+    rheology = Rheology.by_literature(
+        options.rheology,
+        options.friction_rise,
+        options.inertial_number_0,
+        options.tensile_strength,
+    )
     still = int(_START * scene.material.friction_angle / (2.0 * math.pi) * options.intervals)
     flow = VesselFlow(
         geometry,
         vessel_mesh(geometry.solid, numerics.fine_size, comm),
         scene.material,
-        Rheology.by_literature(
-            options.rheology,
-            options.friction_rise,
-            options.inertial_number_0,
-            options.tensile_strength,
-        ),
+        rheology,
         numerics,
         scene.speed,
         GRAVITY,
@@ -80,5 +85,16 @@ def vessel_flow(
         2.0 * math.pi * still / options.intervals,
         comm,
     )
-    run = revolve(flow, options.intervals, still, options.revolutions, progress)
+    inputs = {
+        "scene": dict(scene.inputs),
+        "numerics": dataclasses.asdict(numerics),
+        "rheology": dataclasses.asdict(rheology),
+        "intervals": options.intervals,
+    }
+    kept = TurnedMemory(memory, inputs, flow, comm)
+    run = kept.recall() or level_bed(flow, options.intervals, still)
+    before = len(run.velocities)
+    revolve(flow, run, options.revolutions, progress, lambda so_far: kept.keep(so_far, now=False))
+    if len(run.velocities) > before:
+        kept.keep(run, now=True)
     return periodic_flow(flow, run, scene, comm, progress)
