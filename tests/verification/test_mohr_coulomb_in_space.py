@@ -10,18 +10,21 @@ from mpi4py import MPI
 
 from scaleup.config import compose, fill_volume
 from scaleup.errors import InputError
-from scaleup.flow_source import make_grid
+from scaleup.flow_source import make_grid, obtain_flow
 from scaleup.grid import Grid
 from scaleup.scene import GRAVITY
 from scaleup.testing import check_flow
 from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
-from scaleup_mohr_coulomb.revolutions import Turned
+from scaleup_mohr_coulomb.revolutions import Turned, level_bed
 from scaleup_mohr_coulomb.space_level_set import _inside_fraction
+from scaleup_mohr_coulomb.vessel_flow import VesselFlow
 from scaleup_mohr_coulomb.vessel_grid import periodic_flow
+from scaleup_mohr_coulomb.vessel_memory import TurnedMemory
 from scaleup_mohr_coulomb.vessel_solve import numerics_in_space
 from vessel_in_space import NOMINAL_SPEED, drum_flow
 
 COMM = MPI.COMM_SELF
+FLOW = {"name": "mohr-coulomb"}
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +183,7 @@ def test_what_a_mesh_in_space_cannot_be(asked, says):
     config = compose(
         None,
         ["geometry.length='5 cm'", *asked],
-        {"geometry": {"name": "drum"}, "flow": {"name": "mohr-coulomb"}},
+        {"geometry": {"name": "drum"}, "flow": FLOW},
     )
     scene = SimpleNamespace(
         geometry=config.plugin("geometry"),
@@ -190,3 +193,64 @@ def test_what_a_mesh_in_space_cannot_be(asked, says):
     )
     with pytest.raises(InputError, match=says):
         numerics_in_space(scene, config.options("flow"))
+
+
+class Kept(dict):
+    """A Memory in a dictionary."""
+
+    def recall(self, inputs):
+        return self.get(repr(inputs))
+
+    def keep(self, inputs, arrays):
+        self[repr(inputs)] = arrays
+
+
+def test_a_run_that_was_broken_off_goes_on_where_it_was(drum):
+    """What is kept brings back all intervals and the flow's state; another mesh takes none."""
+    memory = Kept()
+    drum.step(0.005)
+    run = level_bed(drum, 24, 2)
+    run.velocities.append(drum.velocity.vec.FV().NumPy().copy())
+    run.levels.append(drum.level_set.field.vec.FV().NumPy().copy())
+    run.angles.append(0.3)
+    TurnedMemory(memory, {"scene": 1}, drum, COMM).keep(run, now=False)
+    assert not memory  # not so soon
+    TurnedMemory(memory, {"scene": 1}, drum, COMM).keep(run, now=True)
+    phase, steps = drum.phase, drum.steps
+    drum.step(0.005)
+    back = TurnedMemory(memory, {"scene": 1}, drum, COMM).recall()
+    assert (drum.phase, drum.steps) == (phase, steps)
+    assert back.per_revolution == 24
+    assert back.velocities[:2] == [None, None]
+    assert all(np.array_equal(a, b) for a, b in zip(back.levels, run.levels, strict=True))
+    assert np.array_equal(back.velocities[2], run.velocities[2])
+    assert TurnedMemory(memory, {"scene": 2}, drum, COMM).recall() is None
+    other = drum_flow(COMM, size=0.023)
+    assert TurnedMemory(memory, {"scene": 1}, other, COMM).recall() is None
+
+
+@pytest.mark.slow
+def test_a_coarse_drum_with_end_walls_comes_to_repeat_itself(store, monkeypatch):
+    """End to end at 20 rpm: the contract, a bed that turns along, and no second solve on a grid."""
+
+    def asked(cells):
+        settings = [
+            "geometry.length='5 cm'",
+            "operation.speed='20 rpm'",
+            "flow.fine_size='20 mm'",
+            "flow.intervals=36",
+            f"grid.cells={cells}",
+        ]
+        return compose(None, settings, {"geometry": {"name": "drum"}, "flow": FLOW})
+
+    flow = obtain_flow(asked(6000), COMM).flow
+    figures = flow.summary
+    assert flow.prefix == 36
+    assert figures["repeat_mismatch"] < 0.02
+    assert figures["projection_change"] < 0.2
+    assert 23.0 < figures["surface_angle_deg"] < 36.0
+    assert figures["solid_body_ratio"] > 0.9
+    assert figures["iterations_per_step"] < 60
+    monkeypatch.setattr(VesselFlow, "step", None)
+    coarser = obtain_flow(asked(3000), COMM).flow
+    assert coarser.summary["surface_angle_deg"] == figures["surface_angle_deg"]
