@@ -128,7 +128,7 @@ def closed_fluxes(
     solver = PETSc.KSP().create(PETSc.COMM_SELF)
     solver.setOperators(system)
     solver.setType("cg")
-    solver.getPC().setType("gamg")
+    solver.getPC().setType("hypre")
     solver.setTolerances(rtol=1e-9, max_it=2000)
     solution, load = system.createVecs()
     for _ in range(_PASSES):
