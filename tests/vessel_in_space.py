@@ -12,7 +12,7 @@ from scaleup_mohr_coulomb.vessel_flow import VesselFlow
 NOMINAL_SPEED = 2.0
 
 
-def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, **changes):
+def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, mirrored=False, **changes):
     """A flow in a drum of 140 mm by 50 mm that begins with the level bed tilted (deg)."""
     config = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
     geometry, volume = config.plugin("geometry"), fill_volume(config)
@@ -21,7 +21,7 @@ def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, **changes):
     )
     return VesselFlow(
         geometry,
-        vessel_mesh(geometry.solid, size, comm),
+        vessel_mesh(geometry.solid, size, comm, mirrored),
         config.material,
         Rheology(),
         dataclasses.replace(numerics, **changes),
@@ -30,4 +30,5 @@ def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, **changes):
         volume,
         math.radians(tilt),
         comm,
+        mirrored,
     )

@@ -39,7 +39,8 @@ class Momentum:
     """Solver for velocity and pressure at the end of a step.
 
     ``solution`` is a function on velocity x pressure, ``previous`` on the velocity's space;
-    ``time_step`` an ngs.Parameter, s; ``wall`` the name of the boundary that is one.
+    ``time_step`` an ngs.Parameter, s; ``wall`` the name of the boundary that is one, ``rough`` of
+    the part of it with friction (a mirror plane has none).
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class Momentum:
         gravity: Any,
         wall_velocity: Any,
         wall: str = ".*",
+        rough: str = ".*",
     ) -> None:
         self._solution, self._previous = solution, previous
         space, alpha, dt, old = solution.space, fraction, time_step, previous
@@ -106,15 +108,22 @@ class Momentum:
             normal_penalty * (u * n) * (v * n)
             - 2.0 * eta * ((strain_rate(u) * n) * n) * (v * n)
             - 2.0 * eta * ((strain_rate(v) * n) * n) * (u * n)
-            + wall_drag * ngs.InnerProduct(tangential(u), tangential(v))
         ).Compile() * on_wall
+        on_rough = ngs.ds(
+            skeleton=True,
+            definedon=mesh.Boundaries(wall) * mesh.Boundaries(rough),
+            bonus_intorder=CUT_CELL_ORDER,
+        )
+        self._matrix += (
+            wall_drag * ngs.InnerProduct(tangential(u), tangential(v))
+        ).Compile() * on_rough
         self._load = ngs.LinearForm(space)
         self._load += (
             rho * ngs.InnerProduct(gravity + old / dt - ngs.Grad(old) * old, v)
         ).Compile() * interior
         self._load += (
             wall_drag * ngs.InnerProduct(wall_velocity, tangential(v))
-        ).Compile() * on_wall
+        ).Compile() * on_rough
         self._solver: Any
         if mesh.dim == 2:
             self._solver = SymmetricFactors(self._matrix)

@@ -7,11 +7,13 @@ from typing import Any
 
 import netgen.meshing
 import ngsolve as ngs
-from netgen.occ import OCCGeometry
+from netgen.occ import Box, OCCGeometry, Pnt
 
 from scaleup.api import on_each, on_root
 
+WALL, _MIRROR = "wall", "mirror"
 _GRADING = 0.5
+_FLAT = 1e-5  # of the vessel's extent: a face no thicker lies in a plane
 
 
 def distributed(build: Callable[[], Any], comm: Any, geometry: Any = None) -> Any:
@@ -33,11 +35,29 @@ def distributed(build: Callable[[], Any], comm: Any, geometry: Any = None) -> An
     return ngs.Mesh(part)
 
 
-def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any) -> Any:
-    """Tetrahedra of ``size`` (m) in the netgen OCC ``solid()``; curved walls to second order."""
-    geometry = on_each(comm, lambda: OCCGeometry(solid()))
+def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any, mirrored: bool) -> Any:
+    """Tetrahedra of ``size`` (m) in the netgen OCC ``solid()``; curved walls to second order.
+
+    Of a ``mirrored`` vessel only the half at z > 0 is meshed, bounded by its WALL and a plane.
+    """
+
+    def shape() -> Any:
+        return OCCGeometry(_upper_half(solid()) if mirrored else solid())
+
+    geometry = on_each(comm, shape)
 
     def build() -> Any:
         return geometry.GenerateMesh(maxh=size, grading=_GRADING)
 
     return distributed(build, comm, geometry).Curve(2)
+
+
+def _upper_half(solid: Any) -> Any:
+    low, high = solid.bounding_box
+    box = Box(Pnt(low.x - 1.0, low.y - 1.0, 0.0), Pnt(high.x + 1.0, high.y + 1.0, high.z + 1.0))
+    half = solid * box
+    half.faces.name = WALL
+    for face in half.faces:
+        if max(abs(corner.z) for corner in face.bounding_box) < _FLAT * (high.z - low.z):
+            face.name = _MIRROR
+    return half

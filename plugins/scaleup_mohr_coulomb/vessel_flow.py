@@ -25,6 +25,7 @@ from .momentum import Momentum
 from .parameters import Discretisation, Rheology
 from .rheology import Strength
 from .space_level_set import SpaceLevelSet
+from .space_mesh import WALL
 from .space_velocity import LessDivergent
 from .two_phase import FlowDiverged
 from .viscosity import Viscosity
@@ -35,10 +36,13 @@ _FIELDS = ("solution", "level_set", "viscosity")
 class VesselFlow:
     """A powder bed, level and at rest at phase ``start`` (rad), advanced by :meth:`step`.
 
+    ``volume`` (m^3) is that of the whole bed; of a ``mirrored`` vessel ``mesh`` holds the half at
+    z > 0.
+
     Attributes: ``phase`` (rad that the vessel has turned), ``velocity`` (VectorH1, order 2, m/s, in
     the vessel's frame), ``pressure`` (H1, order 1, Pa), ``level_set``, and what steps have cost:
     ``steps``, ``iterations`` of the linear solver and ``volume_moved``, the sum of the absolute
-    volumes restored, over the bed's.  Collective.
+    volumes restored, over the bed's.  ``volume`` is what the mesh holds.  Collective.
     """
 
     def __init__(
@@ -53,16 +57,22 @@ class VesselFlow:
         volume: float,
         start: float,
         comm: Any,
+        mirrored: bool,
     ) -> None:
         self.mesh, self.numerics, self._comm = mesh, numerics, comm
-        self.speed, self.volume, self.phase = speed, volume, start
+        self.mirrored = mirrored
+        self.speed, self.phase = speed, start
+        self.volume = 0.5 * volume if mirrored else volume
         self.steps = self.iterations = 0
         self.volume_moved = 0.0
         self._fastest = speed * geometry.reach + math.sqrt(4.0 * gravity * geometry.reach)
-        self.level_set = SpaceLevelSet(
-            mesh, numerics.interface_half_width, geometry.signed_distance, comm
-        )
-        self.level_set.set_level(level_height(geometry, volume), volume)
+
+        def wall_distance(points: NDArray[Any]) -> NDArray[Any]:
+            wall: NDArray[Any] = geometry.signed_distance(points)
+            return np.minimum(wall, points[..., 2]) if mirrored else wall
+
+        self.level_set = SpaceLevelSet(mesh, numerics.interface_half_width, wall_distance, comm)
+        self.level_set.set_level(level_height(geometry, volume), self.volume)
         velocity_space = ngs.VectorH1(mesh, order=2)
         linear = ngs.H1(mesh, order=1)
         self._solution = ngs.GridFunction(velocity_space * linear)
@@ -102,6 +112,7 @@ class VesselFlow:
             self._step_length,
             gravity=force,
             wall_velocity=ngs.CoefficientFunction((0.0, 0.0, 0.0)),
+            rough=WALL if mirrored else ".*",
         )
         self._mover = LessDivergent(0.5 * (self.velocity + old), mesh)
         self._transport = Transport(self.level_set, self._mover.field, self._step_length)

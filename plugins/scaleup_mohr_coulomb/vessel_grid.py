@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _STILL = 0.01  # of the rim's speed: slower powder between full cells is at rest
 _NARROW = 1e-3  # of a face's open area counts as wet at least where both cells hold powder
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
+_MARGIN = 1e-4  # of the reach: how far from the mirror plane points are kept
 _MARGIN_CELLS = 2.0  # cells beyond the wall at whose corners the level set is wanted
 _SLIDING = 0.8  # rotation of the bed over the vessel's below which it does not turn along
 _BALANCED = 1e-12  # of a cell's volume that a group of cells may gain
@@ -99,7 +100,12 @@ def periodic_flow(
     corners = grid.corner_points()
     wall = geometry.signed_distance(corners)
     near = wall > -_MARGIN_CELLS * max(grid.spacing)
-    sampler = Sampler(flow.mesh, kept_inside(geometry, corners[near]), comm)
+    points = kept_inside(geometry, corners[near])
+    side = np.ones(len(points))
+    if flow.mirrored:  # both halves see the one that was solved
+        side = np.where(points[:, 2] < 0.0, -1.0, 1.0)
+        points[:, 2] = np.maximum(np.abs(points[:, 2]), _MARGIN * geometry.reach)
+    sampler = Sampler(flow.mesh, points, comm)
     level, velocity = flow.level_set.field.vec, flow.velocity.vec
     total = len(run.velocities)
     length = 2.0 * math.pi / flow.speed / run.per_revolution
@@ -112,6 +118,8 @@ def periodic_flow(
         if mean is not None:
             velocity.FV().NumPy()[:] = mean
             motion = sampler(flow.velocity, 3)
+            if motion is not None:
+                motion[:, 2] *= side
         _add(builder, comm, surface, motion, number, run.prefix, total)
         progress(0.5 + 0.5 * number / max(total, 1), "fluxes on the grid")
     if builder is None:
@@ -125,7 +133,7 @@ def periodic_flow(
             builder.parts, np.arange(total + 1) * length, builder.capacity.ravel()
         ),
         prefix=run.prefix,
-        summary=_summary(flow, run, builder),
+        summary=_summary(flow, run, scene, builder),
         warnings=_warnings(flow, run, scene, builder),
     )
 
@@ -400,7 +408,7 @@ def _runs(flags: NDArray[Any]) -> NDArray[Any]:
     return runs
 
 
-def _summary(flow: VesselFlow, run: Turned, builder: _Builder) -> dict[str, Any]:
+def _summary(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) -> dict[str, Any]:
     angles = np.degrees(run.angles[run.prefix + 1 :])
     reason = "not measured in a vessel in space"
     steps = max(flow.steps, 1)
@@ -427,10 +435,11 @@ def _summary(flow: VesselFlow, run: Turned, builder: _Builder) -> dict[str, Any]
         "volume_drift": flow.volume_moved,
         "repeat_mismatch": run.mismatch,
         "projection_change": math.sqrt(builder.change / max(builder.square, 1e-300)),
-        "volume_balanced": builder.moved / flow.volume,
+        "volume_balanced": builder.moved / scene.fill_volume,
         "filter_length": flow.numerics.filter_length,
         "element_size": flow.numerics.fine_size,
         "unknowns": flow.unknowns,
+        "half_of_vessel_solved": flow.mirrored,
         "time_steps": flow.steps,
         "iterations_per_step": flow.iterations / steps,
         "seconds_per_step": run.seconds / steps,

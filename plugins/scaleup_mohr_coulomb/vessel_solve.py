@@ -72,10 +72,11 @@ def vessel_flow(
         options.inertial_number_0,
         options.tensile_strength,
     )
+    mirrored = (0.0, 0.0, 1.0) in tuple(getattr(geometry, "symmetry", ()))
     still = int(_START * scene.material.friction_angle / (2.0 * math.pi) * options.intervals)
     flow = VesselFlow(
         geometry,
-        vessel_mesh(geometry.solid, numerics.fine_size, comm),
+        vessel_mesh(geometry.solid, numerics.fine_size, comm, mirrored),
         scene.material,
         rheology,
         numerics,
@@ -84,6 +85,7 @@ def vessel_flow(
         scene.fill_volume,
         2.0 * math.pi * still / options.intervals,
         comm,
+        mirrored,
     )
     inputs = {
         "scene": dict(scene.inputs),

@@ -88,6 +88,22 @@ def test_a_bed_above_its_friction_angle_avalanches():
     assert math.degrees(flow.surface_angle()) < 37.0
 
 
+def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole():
+    """An avalanche in both, to the difference of two meshes; no powder crosses the plane."""
+    whole, half = (drum_flow(COMM, tilt=40.0, speed=0.0, mirrored=m) for m in (False, True))
+    assert half.unknowns < 0.6 * whole.unknowns
+    assert half.volume == pytest.approx(0.5 * whole.volume)
+    for flow in (whole, half):
+        for _ in range(10):
+            flow.step(0.01)
+    assert mean_speed(half) == pytest.approx(mean_speed(whole), rel=0.1)
+    assert half.surface_angle() == pytest.approx(whole.surface_angle(), abs=math.radians(0.6))
+    plane = half.mesh.Boundaries("mirror")
+    across = ngs.Integrate(half.velocity[2] ** 2, half.mesh, definedon=plane)
+    along = ngs.Integrate(half.velocity * half.velocity, half.mesh, definedon=plane)
+    assert across < 0.02 * along
+
+
 def test_iterations_hardly_depend_on_the_mesh():
     """Within a factor of two from 3e3 to 1.6e4 unknowns."""
     counts = {}
@@ -133,8 +149,10 @@ def test_closed_fluxes_are_exact_and_leave_a_balanced_flow_alone():
     assert at[0, a, b] + at[1, b, c] - at[0, d, c] - at[1, a, d] == pytest.approx(0.0, abs=1e-8)
 
 
-def test_a_turned_bed_becomes_a_periodic_flow_field(drum):
-    """A plane bed that stays at 25 deg in the lab: contract, volume, and the drum's mean flux."""
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_turned_bed_becomes_a_periodic_flow_field(drum, mirrored):
+    """A plane bed that stays at 25 deg in the lab: contract, volume, mirror image."""
+    drum = drum_flow(COMM, mirrored=True) if mirrored else drum
     config = compose(
         None, ["geometry.length='5 cm'", "grid.cells=4000"], {"geometry": {"name": "drum"}}
     )
@@ -146,7 +164,8 @@ def test_a_turned_bed_becomes_a_periodic_flow_field(drum):
         level.field.Set(-0.02 - plane)
         level.restore_volume(drum.volume)
         levels.append(level.field.vec.FV().NumPy().copy())
-    still = np.zeros(len(drum.velocity.vec))
+    drum.velocity.Set((0.0, 0.0, ngs.z * (0.025 - ngs.z)))
+    still = drum.velocity.vec.FV().NumPy().copy()
     run = Turned(
         levels=levels,
         velocities=[None, *[still] * (2 * per_revolution - 1)],
@@ -167,9 +186,11 @@ def test_a_turned_bed_becomes_a_periodic_flow_field(drum):
     assert flow.frame == "vessel"
     assert len(flow.intervals[0].flux[0]) > 1000
     assert not flow.intervals[0].flux.any()  # turns rigidly
-    # what crosses mid-bed relative to rigid rotation is omega/2 (R^2 - b^2) per length
     assert flow.period == pytest.approx(2 * math.pi / NOMINAL_SPEED)
     assert all(flow.intervals[k].flux.any() for k in range(2, 2 * per_revolution))
+    if mirrored:
+        through = flow.intervals[30].face_fluxes(flow.grid)[2]
+        assert np.abs(through + through[::-1]).max() < 1e-4 * np.abs(through).max()
 
 
 @pytest.mark.parametrize(
