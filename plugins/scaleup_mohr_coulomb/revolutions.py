@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Share of the bed's volume that may lie elsewhere after a revolution that repeats the one before.
 REPEATS = 0.02
+# Share of the whole work, by which progress is counted; the rest is putting it on the grid.
+SOLVING = 0.9
 # Halvings of the step after which an interval that still diverges is given up.
 _MOST_HALVINGS = 4
 # Intervals kept to go back to.
@@ -113,7 +115,7 @@ def revolve(
             halvings -= 1
             calm = 2
         progress(
-            min(0.99, len(run.velocities) / (2 * per_revolution)),
+            min(SOLVING, SOLVING * len(run.velocities) / (2 * per_revolution)),
             f"phase {math.degrees(flow.phase):.0f} deg, surface "
             f"{math.degrees(run.angles[-1]):.1f} deg, {flow.iterations / flow.steps:.0f} "
             f"iterations a step" + (f", {run.retries} retries" if run.retries else ""),

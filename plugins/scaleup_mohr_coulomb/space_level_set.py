@@ -29,10 +29,6 @@ _PARTS = np.array(
         (4, 9, 7, 5),
     ]
 )
-# Share of the interface's half width within which a point counts as lying on the wall, and half
-# widths from it within which the surface is carried on beyond the wall.
-_ON_WALL = 0.1
-_CARRIED = 4.0
 
 
 class SpaceLevelSet:
@@ -162,31 +158,23 @@ class SpaceLevelSet:
         return kept
 
     def redistance(self) -> None:
-        """Make phi the signed distance to its own zero surface again.
+        """Make phi the signed distance to its own zero surface again."""
+        distance, _ = self._distances(self.surface())
+        self._set_nodal(np.copysign(distance, self.nodal(self.field.vec.FV().NumPy())))
 
-        Where the surface meets the wall it is carried straight on: a distance to its rim would have
-        a kink there, which costs volume.
-        """
-        triangles = self.surface()
+    def _distances(self, triangles: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Distance (m) of every node from the nearest of triangles, and its number."""
         centres = triangles.mean(axis=1)
-        _, nearest = cKDTree(centres).query(self._nodes, k=min(_NEIGHBOURS, len(centres)))
-        nearest = nearest.reshape(len(self._nodes), min(_NEIGHBOURS, len(centres)))
+        count = min(_NEIGHBOURS, len(centres))
+        _, candidates = cKDTree(centres).query(self._nodes, k=count)
         distance = np.full(len(self._nodes), np.inf)
-        closest = np.zeros_like(self._nodes)
-        face = np.zeros(len(self._nodes), dtype=int)
-        for candidate in nearest.T:
+        nearest = np.zeros(len(self._nodes), dtype=int)
+        for candidate in candidates.reshape(len(self._nodes), count).T:
             point = _closest_points(self._nodes, triangles[candidate])
             away = np.linalg.norm(self._nodes - point, axis=1)
             nearer = away < distance
-            distance[nearer], closest[nearer] = away[nearer], point[nearer]
-            face[nearer] = candidate[nearer]
-        rim = np.flatnonzero(distance < _CARRIED * self._half_width)
-        rim = rim[self._wall_distance(closest[rim]) < _ON_WALL * self._half_width]
-        if len(rim):
-            normal = _mean_normals(triangles, centres, closest[rim], face[rim], self._half_width)
-            along = ((self._nodes[rim] - closest[rim]) * normal).sum(axis=1)
-            distance[rim] = np.abs(along)
-        self._set_nodal(np.copysign(distance, self.nodal(self.field.vec.FV().NumPy())))
+            distance[nearer], nearest[nearer] = away[nearer], candidate[nearer]
+        return distance, nearest
 
 
 def _inside_fraction(values: NDArray[Any]) -> NDArray[Any]:
@@ -241,22 +229,3 @@ def _closest_points(points: NDArray[Any], triangles: NDArray[Any]) -> NDArray[An
         best[nearer], closest[nearer] = away[nearer], point[nearer]
     closest[inside] = foot[inside]
     return closest
-
-
-def _mean_normals(
-    triangles: NDArray[Any],
-    centres: NDArray[Any],
-    points: NDArray[Any],
-    face: NDArray[Any],
-    reach: float,
-) -> NDArray[Any]:
-    """Unit normals (n, 3), weighted by area, of the surface within ``reach`` (m) of points."""
-    normals = _normals(triangles)
-    own = normals[face]
-    mean = own.copy()
-    for n, near in enumerate(cKDTree(centres).query_ball_point(points, reach)):
-        if near:
-            sides = normals[near] @ own[n]
-            mean[n] += (normals[near] * np.sign(sides)[:, None]).sum(axis=0)
-    unit: NDArray[Any] = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
-    return unit

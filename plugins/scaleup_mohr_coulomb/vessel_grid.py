@@ -26,7 +26,7 @@ from scaleup.api import (
 
 from .closing import Faces, balance, closed_fluxes
 from .on_grid import kept_inside
-from .revolutions import REPEATS
+from .revolutions import REPEATS, SOLVING
 
 if TYPE_CHECKING:
     from .revolutions import Turned
@@ -121,7 +121,7 @@ def periodic_flow(
             if motion is not None:
                 motion[:, 2] *= side
         _add(builder, comm, surface, motion, number, run.prefix, total)
-        progress(0.5 + 0.5 * number / max(total, 1), "fluxes on the grid")
+        progress(SOLVING + (1.0 - SOLVING) * number / max(total, 1), "fluxes on the grid")
     if builder is None:
         return None
     return FlowField(
