@@ -37,6 +37,7 @@ _NARROW = 1e-3  # of a face's open area counts as wet at least where both cells 
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
 _MARGIN = 1e-4  # of the reach: how far from the mirror plane points are kept
 _MARGIN_CELLS = 2.0  # cells beyond the wall at whose corners the level set is wanted
+_DRIFTS = 0.02  # of the bed's volume: sum of corrections beyond which it is said
 _SLIDING = 0.8  # rotation of the bed over the vessel's below which it does not turn along
 _BALANCED = 1e-12  # of a cell's volume that a group of cells may gain
 _DEEP = 1.0 / 3.0  # of the reach below the surface: deep in the bed
@@ -463,6 +464,11 @@ def _warnings(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) ->
             f"elements of {1e3 * size:.3g} mm do not resolve a flowing layer of about "
             f"{200 * reach:.3g} mm: speeds and angles change with the mesh; refine flow.fine_size "
             f"to {1e3 * reach / 15.0:.2g} mm"
+        )
+    if flow.volume_moved > _DRIFTS:
+        found.append(
+            f"volume corrections of the level set add up to {100 * flow.volume_moved:.2g} % of the "
+            "bed: the surface is not resolved; refine flow.fine_size"
         )
     ratio = builder.rotation_ratio
     if ratio is not None and ratio < _SLIDING:
