@@ -29,9 +29,11 @@ def diffusion_tensor(
     dimension, n = interval.direction.shape
     tensor = np.zeros((dimension, dimension, n))
     if law.model == "objective":
-        t = interval.direction
+        sheared = np.flatnonzero(interval.shear_rate)  # in a vessel's frame a small part of the bed
+        t, rate = interval.direction[:, sheared], interval.shear_rate[sheared]
         identity = np.eye(dimension)[:, :, None]
-        return scale * interval.shear_rate * (identity + (ratio - 1.0) * t[:, None] * t[None, :])
+        tensor[:, :, sheared] = scale * rate * (identity + (ratio - 1.0) * t[:, None] * t[None, :])
+        return tensor
     if dimension != 2 or flow.frame != "lab":
         raise InputError(
             "diffusion.model = 'paper': Eq. 6 holds for a 2-D flow in the lab frame only; "

@@ -14,8 +14,9 @@ def spread_outwards(
     """Values (m, k) of the `known` cells carried layer by layer to the `wanted` ones: (m, n).
 
     Each new cell takes the mean of the cells with a value among those that touch it (8 in 2-D, 26
-    in 3-D). Wanted cells are filled first; cells between them and the known ones only if there is
-    no other way. Zero if nothing is known. Cells are flat grid indices.
+    in 3-D). Wanted cells to which no chain of wanted ones leads take the mean of the cells with a
+    value that are nearest (in the greatest of the distances along the axes). Zero if nothing is
+    known. Cells are flat grid indices.
     """
     padded = tuple(n + 2 for n in grid.shape)
     around = _offsets(padded)
@@ -28,10 +29,8 @@ def spread_outwards(
     while have.any() and len(missing):
         new = _beside(missing, have, around)
         if not len(new):
-            everywhere = _inside(grid, np.arange(grid.cells))
-            new = _beside(everywhere[~have[everywhere]], have, around)
-            if not len(new):
-                break
+            dense[:, missing] = _nearest(missing, dense, have, (1, *padded)[-3:])
+            break
         dense[:, new] = _means(new, dense, have, around)
         have[new] = True
         missing = missing[~have[missing]]
@@ -76,4 +75,32 @@ def _means(cells: IntArray, dense: FloatArray, have: BoolArray, around: IntArray
                     means[q, n] += dense[q, cells[n] + offset]
         for q in range(dense.shape[0]):
             means[q, n] /= count
+    return means
+
+
+@numba.njit(cache=True)
+def _nearest(
+    cells: IntArray, dense: FloatArray, have: BoolArray, shape: tuple[int, int, int]
+) -> FloatArray:
+    """Means (m, cells) over the nearest cells with a value, in shells around each."""
+    means = np.zeros((dense.shape[0], len(cells)))
+    for n in range(len(cells)):
+        i, rest = divmod(cells[n], shape[1] * shape[2])
+        j, k = divmod(rest, shape[2])
+        count, away = 0, 0
+        while count == 0 and away < max(shape):
+            away += 1
+            for a in range(max(i - away, 0), min(i + away + 1, shape[0])):
+                for b in range(max(j - away, 0), min(j + away + 1, shape[1])):
+                    on_shell = max(abs(a - i), abs(b - j)) == away
+                    for c in range(k - away, k + away + 1, 1 if on_shell else 2 * away):
+                        if not 0 <= c < shape[2]:
+                            continue
+                        place = (a * shape[1] + b) * shape[2] + c
+                        if have[place]:
+                            count += 1
+                            for q in range(dense.shape[0]):
+                                means[q, n] += dense[q, place]
+        for q in range(dense.shape[0]):
+            means[q, n] /= max(count, 1)
     return means

@@ -32,8 +32,8 @@ class SemiLagrangian:
         """along an edge of a cell; default 4 in 2-D, 2 in 3-D"""
 
         memory: Annotated[float, Field(gt=0)] | None = None
-        """10^9 bytes on a rank, for what is kept from one revolution to the next; default: two
-        fifths of the machine's memory, shared out among the ranks on it"""
+        """10^9 bytes on a rank, for what is kept from one revolution to the next; default: half
+        of the machine's memory, shared out among the ranks on it"""
 
     halo: ClassVar[int] = 3
     order: ClassVar[float] = 1.9  # in the cell, at steps that do not shrink with it (vortex: 1.6)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, Grid
+from scaleup.api import BoolArray, FloatArray, Grid, IntArray
 from scaleup_semi_lagrangian import images, paths, settlement, subcells
 from scaleup_semi_lagrangian.middles import ends_of_subcells
-from scaleup_semi_lagrangian.moving_cells import MovingCells
+from scaleup_semi_lagrangian.moving_cells import MovingCells, coordinates_of, turned_round
 
 _EMPTY = 1e-13  # fill fraction
 _ROUNDS = 3  # of balancing
@@ -43,49 +43,49 @@ class Carriage:
         duration -- s, of the part
         per_edge -- sub-cells along an edge of a cell
         """
-        self._split, self._per_edge = split, per_edge
-        self._below, self._above = moving.below, moving.above
+        self._grid, self._split, self._per_edge = grid, split, per_edge
+        # as little as will do is held: a revolution of them is kept
+        self._below, self._cells = moving.below, moving.cells.astype(_least_integer(grid.cells))
         start, end = (
             (1.0 - s) * moving.start + s * moving.end if s not in (0.0, 1.0)
             else (moving.end if s else moving.start)
             for s in share
         )  # fmt: skip
         start, end = (np.where(fill > _EMPTY, fill, 0.0) for fill in (start, end))
-        self._start, self._holds = start, end > 0.0
+        self._holds = end > 0.0
         placing = split.placing(moving.cells)
-        self._sources = np.flatnonzero(placing.mine & (start > 0.0)).astype(np.int32)
-        self._position = placing.place[self._sources]
-        self._coordinates = moving.coordinates
+        sources = np.flatnonzero(placing.mine & (start > 0.0)).astype(np.int32)
+        self._start, self._position = start[sources], placing.place[sources].astype(np.int32)
         points = paths.lattice(per_edge, grid.dimension)
         self._points = points - 0.5
         self._landed, places = ends_of_subcells(
-            grid, moving, (start, end), duration, self._sources, points
+            grid, moving, (start, end), duration, sources, points
         )
         self._places = np.rint(places * images.SCALE).astype(np.uint16)
         self._strides = strides_of(split)
-        self._balance(end)
+        self._balance(moving.above, end)
         self._settlement = settlement.settle(
-            self._below, self._above, self._coordinates, self.laid, end
+            moving.below, moving.above, moving.coordinates, self.laid, end
         )
         self._means, self._slopes = subcells.stencils(per_edge)
         self._kinds = subcells.kinds(self._position, material, self._strides)
         self._corners = subcells.corners(self._position, material, self._strides)
         # where values are put: this rank's cells and its ghosts
-        here = np.flatnonzero(placing.place >= 0)
-        self._here, self._there = here, placing.place[here]
+        here = np.flatnonzero(placing.place >= 0).astype(np.int32)
+        self._here, self._there = here, placing.place[here].astype(np.int32)
 
-    def _balance(self, fill: FloatArray) -> None:
+    def _balance(self, above: IntArray, fill: FloatArray) -> None:
         """Factors of the cells with which the laid volumes come near to the fills.
 
         In turns, the parts of a source are scaled to its volume and those in a cell to its fill
         (Sinkhorn 1964); the first comes last.
         """
-        self._factor = np.ones(len(fill))
+        self._factor = np.ones(len(fill), dtype=np.float32)
         for number in range(_ROUNDS + 1):
             laid = np.zeros(len(fill))
             images.lay_volumes(
-                laid, self._sources, self._landed, self._places, self._below, self._above,
-                self._holds, self._factor, self._start, self._strides, self._per_edge,
+                laid, self._landed, self._places, self._below, above, self._holds,
+                self._factor, self._start, self._strides, self._per_edge,
             )  # fmt: skip
             self.laid = self._split.totals(laid)
             if number < _ROUNDS:
@@ -98,16 +98,18 @@ class Carriage:
         All components but the last. Ghosts are set too. Returns the least and the greatest of all.
         """
         laid = np.zeros((len(c), len(self.laid)))
+        above = turned_round(self._below)
         images.lay_contents(
-            laid, self._sources, self._landed, self._places, self._below, self._above,
-            self._holds, self._factor, self._start, self._coordinates, c, self._position,
-            self._strides, self._corners, self._points, self._means, self._slopes, self._kinds,
+            laid, self._landed, self._places, self._below, above, self._holds,
+            self._factor, self._start, coordinates_of(self._grid, self._cells), c,
+            self._position, self._strides, self._corners, self._points, self._means,
+            self._slopes, self._kinds,
         )  # fmt: skip
         content = self._split.totals(laid)
         new = laid
         new[:, self._here] = c[:, self._there]
         flux, order = self._settlement.flux, self._settlement.order
-        settlement.carry(new, content, self.laid, self._below, self._above, flux, order)
+        settlement.carry(new, content, self.laid, self._below, above, flux, order)
         c[:, self._there] = new[:, self._here]
         return settlement.bounds(new, self._holds)
 
@@ -116,6 +118,10 @@ class Carriage:
         """Memory held."""
         held = [*vars(self).values(), *vars(self._settlement).values()]
         return sum(array.nbytes for array in held if isinstance(array, np.ndarray))
+
+
+def _least_integer(most: int) -> type:
+    return np.int32 if most < 2**31 else np.int64
 
 
 def strides_of(split: Any) -> tuple[int, ...]:

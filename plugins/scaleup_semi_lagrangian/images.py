@@ -81,7 +81,6 @@ def _lay_boxes(
 @numba.njit(cache=True)
 def lay_volumes(
     total: FloatArray,
-    sources: IntArray,
     landed: IntArray,
     places: IntArray,
     below: IntArray,
@@ -92,13 +91,16 @@ def lay_volumes(
     strides: tuple[int, ...],
     per_edge: int,
 ) -> None:
-    """Add to `total` (m,) what the sources bring to each cell, as fill fractions."""
+    """Add to `total` (m,) what the sources bring to each cell, as fill fractions.
+
+    start -- fill fraction of each source, (s,)
+    """
     subcells, most = landed.shape[1], 2 ** len(strides)
     cells = np.empty((subcells, most), dtype=np.int32)
     weights = np.empty((subcells, most))
     offsets = np.empty((subcells, most, len(strides)))
     counts = np.empty(subcells, dtype=np.int64)
-    for n in range(len(sources)):
+    for n in range(len(landed)):
         whole = _lay_boxes(
             n,
             landed,
@@ -114,7 +116,7 @@ def lay_volumes(
             offsets,
             counts,
         )
-        scale = start[sources[n]] / whole
+        scale = start[n] / whole
         for p in range(subcells):
             for m in range(counts[p]):
                 total[cells[p, m]] += scale * weights[p, m]
@@ -123,7 +125,6 @@ def lay_volumes(
 @numba.njit(cache=True, fastmath={"contract"})
 def lay_contents(
     total: FloatArray,
-    sources: IntArray,
     landed: IntArray,
     places: IntArray,
     below: IntArray,
@@ -143,6 +144,7 @@ def lay_contents(
 ) -> None:
     """Add to `total` (components, m) what the sources bring to each cell of each component.
 
+    start    -- fill fraction of each source, (s,)
     coordinates -- (m, dimension) whole numbers of the moving cells along the axes
     c        -- (components, cells) in flattened local arrays, all components but the last
     position -- of each source in them, (s,)
@@ -167,7 +169,7 @@ def lay_contents(
     moment = 0.0
     for p in range(subcells):
         moment += points[p, 0] ** 2
-    for n in range(len(sources)):
+    for n in range(len(landed)):
         k = position[n]
         whole = _lay_boxes(
             n,
@@ -184,7 +186,7 @@ def lay_contents(
             offsets,
             counts,
         )
-        scale = start[sources[n]] / whole
+        scale = start[n] / whole
         believed = -1  # the Jacobian is not known yet
         varies = False
         rest_now = 1.0

@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 from mpi4py import MPI
 
-_SHARE = 0.4  # of the machine's memory
+_SHARE = 0.5  # of the machine's memory
 
 
 def budget_of_rank(comm: Any) -> float:

@@ -69,13 +69,18 @@ def find_moving(grid: Grid, interval: Interval) -> MovingCells:
     end = interval.fill_end[where] / volume
     full = _full(interval.fill_start / volume, interval.fill_end / volume)
     below, beside = _neighbours(below_all, where, full)
-    shear = _shear(below, _turned_round(below), flux, full[where])
+    shear = _shear(below, turned_round(below), flux, full[where])
     below[(flux == 0.0) & (shear == 0.0).all(axis=1)] = -1
     cells = interval.cells[where]
-    coordinates = np.stack(np.unravel_index(cells, grid.shape)[::-1], axis=-1).astype(np.int32)
     return MovingCells(
-        cells, coordinates, where, below, _turned_round(below), beside, flux, shear, start, end
-    )
+        cells, coordinates_of(grid, cells), where, below, turned_round(below), beside, flux, shear,
+        start, end,
+    )  # fmt: skip
+
+
+def coordinates_of(grid: Grid, cells: IntArray) -> IntArray:
+    """Whole numbers of cells along the axes, (m, dimension), x first."""
+    return np.stack(np.unravel_index(cells, grid.shape)[::-1], axis=-1).astype(np.int32)
 
 
 def _full(start: FloatArray, end: FloatArray) -> BoolArray:
@@ -116,7 +121,8 @@ def _neighbours(below_all: IntArray, where: IntArray, full: BoolArray) -> tuple[
 
 
 @numba.njit(cache=True)
-def _turned_round(below: IntArray) -> IntArray:
+def turned_round(below: IntArray) -> IntArray:
+    """The neighbours above, from those below."""
     above = np.full_like(below, -1)
     for axis in range(below.shape[0]):
         for k in range(below.shape[1]):
