@@ -37,11 +37,10 @@ class Exchange:
     ):  # fmt: skip
         """Exchanges of the cells at `position` in flattened local arrays, ghosts too.
 
-        tensor -- (d, d, n), m^2/s; owned -- flags of all local cells
+        tensor -- (d, d, n) of these cells, m^2/s; owned -- flags of all local cells
         """
-        active = np.flatnonzero(tensor[range(len(strides)), range(len(strides))].max(axis=0) > 0)
         h = np.array(spacing)
-        scaled = tensor[:, :, active] / np.multiply.outer(h, h)[:, :, None]
+        scaled = tensor / np.multiply.outer(h, h)[:, :, None]
         vectors, weights = _decompose(np.ascontiguousarray(scaled))
         used = weights > 0.0
         self.reach = int(np.abs(vectors[:, used]).max()) if used.any() else 0
@@ -49,24 +48,24 @@ class Exchange:
         self._weight = np.ascontiguousarray(weights.T, dtype=np.float32)
         along = np.tensordot(np.array(strides), vectors, axes=1)
         self._along = np.ascontiguousarray(along.T, dtype=np.int32)
-        self._cell = position[active].astype(np.int32)
+        self._cell = position.astype(np.int32)
         self._touched = _touched(self._cell, self._along, self._weight, owned)
         self._fastest: dict[float, float] = {}
 
     def fastest(
-        self, time: float, fraction: FloatArray, largest: Callable[[float], float]
+        self, share: float, fraction: FloatArray, largest: Callable[[float], float]
     ) -> float:
         """What the cell that loses fastest gives over what it holds, on any rank, 1/s; collective.
 
-        With the fill fractions (in local arrays) of a time, known from then on.
+        With the fill fractions (in local arrays) at a share of the interval, known from then on.
         """
-        if time not in self._fastest:
+        if share not in self._fastest:
             loss = np.zeros(len(fraction))
             _add_losses(loss, self._cell, self._along, self._weight, fraction)
             here = self._touched[fraction[self._touched] > _LEAST]
             rates = loss[here] / fraction[here]
-            self._fastest[time] = largest(float(rates.max(initial=0.0)))
-        return self._fastest[time]
+            self._fastest[share] = largest(float(rates.max(initial=0.0)))
+        return self._fastest[share]
 
     def step(self, c: FloatArray, gain: FloatArray, fraction: FloatArray, dt: float) -> None:
         """A step (s) of c (components, cells) on the owned cells; `gain` is work space."""

@@ -39,6 +39,7 @@ def ends_of_subcells(
     points  -- (sub-cells, dimension) their middles in the unit cell
     """
     start, end = fills
+    axes = tuple(range(grid.dimension))
     motion = (
         moving.below, moving.above, moving.flux, moving.shear, moving.full, start,
         (end - start) / duration,
@@ -49,7 +50,7 @@ def ends_of_subcells(
     candidates = np.flatnonzero(smooth[sources])
     wanted = _with_neighbours(usable, sources[candidates])
     middle = _MIDDLE[: grid.dimension]
-    landed_middle, place_middle = follow(*motion, wanted, middle[None], duration)
+    landed_middle, place_middle = follow(*motion, wanted, middle[None], duration, axes)
     number = np.full(len(start), -1, dtype=np.int32)
     number[wanted] = np.arange(len(wanted), dtype=np.int32)
 
@@ -62,7 +63,7 @@ def ends_of_subcells(
         moving.below, moving.above, usable, start, end,
     )  # fmt: skip
     rest = np.flatnonzero(~known)
-    landed[rest], places[rest] = follow(*motion, sources[rest], points, duration)
+    landed[rest], places[rest] = follow(*motion, sources[rest], points, duration, axes)
     return landed, places
 
 

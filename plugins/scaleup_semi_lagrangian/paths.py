@@ -49,13 +49,15 @@ def follow(
     sources: IntArray,
     points: FloatArray,
     duration: float,
+    axes: tuple[int, ...],
 ) -> tuple[IntArray, FloatArray]:
     """Follow points of cells for a time (s); see the module.
 
     full -- (m,) cells that are so all the time
+    axes -- 0, 1, ...: so that their number is known to the compiler (a sixth faster)
     start, rate -- fill fraction at the beginning of the time and its change per second
     """
-    dimension, count = flux.shape[0], points.shape[0]
+    dimension, count = len(axes), points.shape[0]
     landed = np.empty((len(sources), count), dtype=np.int32)
     places = np.empty((len(sources), count, dimension), dtype=np.float32)
     x, v, grows = np.empty(dimension), np.empty(dimension), np.empty(dimension)
@@ -70,7 +72,7 @@ def follow(
             for _ in range(_MOST):
                 if full[i]:
                     ahead, taken = _runge_kutta(
-                        i, x, duration - now, below, above, flux, shear, full, stages, at
+                        i, x, duration - now, below, above, flux, shear, full, stages, at, axes
                     )
                     if ahead >= 0:
                         i, now = ahead, now + taken
@@ -163,14 +165,14 @@ def follow(
 
 
 @numba.njit(inline="always")
-def _runge_kutta(i, x, left, below, above, flux, shear, full, stages, at):
+def _runge_kutta(i, x, left, below, above, flux, shear, full, stages, at, axes):
     """Move x, in cell i, by a step of at most `left` (s); returns the cell that it is in then.
 
     And the step; -1, and x as it was, if the step would touch a cell that is not full.
     """
-    dimension = len(x)
+    dimension = len(axes)
     at[:] = x
-    if _velocity(i, at, below, above, flux, shear, full, stages[0]) < 0:
+    if _velocity(i, at, below, above, flux, shear, full, stages[0], axes) < 0:
         return -1, 0.0
     fastest = 0.0
     for a in range(dimension):
@@ -184,27 +186,27 @@ def _runge_kutta(i, x, left, below, above, flux, shear, full, stages, at):
         ahead = dt if stage == 3 else 0.5 * dt
         for a in range(dimension):
             at[a] = x[a] + ahead * stages[stage - 1, a]
-        if _velocity(i, at, below, above, flux, shear, full, stages[stage]) < 0:
+        if _velocity(i, at, below, above, flux, shear, full, stages[stage], axes) < 0:
             return -1, 0.0
     for a in range(dimension):
         slope = stages[0, a] + 2.0 * (stages[1, a] + stages[2, a]) + stages[3, a]
         at[a] = x[a] + dt / 6.0 * slope
-    cell = _cell_of(i, at, below, above, full)
+    cell = _cell_of(i, at, below, above, full, axes)
     if cell >= 0:
         x[:] = at
     return cell, dt
 
 
 @numba.njit(inline="always")
-def _velocity(i, x, below, above, flux, shear, full, v):
+def _velocity(i, x, below, above, flux, shear, full, v, axes):
     """Put the velocity (cells/s) at x, counted from cell i, into v; x is counted from its own cell.
 
     Returns that cell, or -1 if full cells do not lead there.
     """
-    i = _cell_of(i, x, below, above, full)
+    i = _cell_of(i, x, below, above, full, axes)
     if i < 0:
         return i
-    dimension = len(x)
+    dimension = len(axes)
     for a in range(dimension):
         up = above[a, i]
         low = flux[a, i]
@@ -219,9 +221,9 @@ def _velocity(i, x, below, above, flux, shear, full, v):
 
 
 @numba.njit(inline="always")
-def _cell_of(i, x, below, above, full):
+def _cell_of(i, x, below, above, full, axes):
     """The cell where x is, counted from cell i; x is counted from it then. -1 as `_velocity`."""
-    for a in range(len(x)):
+    for a in range(len(axes)):
         while x[a] > 1.0 and i >= 0:
             i = above[a, i]
             x[a] -= 1.0

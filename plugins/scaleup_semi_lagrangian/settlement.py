@@ -226,31 +226,56 @@ def carry(
 ) -> None:
     """Concentrations c (components, m) from the laid contents and volumes, as stated above.
 
-    A cell without material, and without inflow, keeps its value.
+    A cell without material, and without inflow, keeps its value. After the first sweep only those
+    are swept again that something upstream has changed for.
     """
     dimension, m = below.shape
+    waits = np.empty(m, dtype=np.bool_)
     for q in range(c.shape[0]):
         for i in range(m):
             if laid[i] > 0.0:
                 c[q, i] = content[q, i] / laid[i]
+        waits[:] = True
         for _ in range(_SWEEPS):
-            change = 0.0
+            settled = True
             for n in range(m):
                 i = order[n]
-                held, volume = content[q, i], laid[i]
+                if not waits[i]:
+                    continue
+                waits[i] = False
+                held, volume, leaves = content[q, i], laid[i], False
                 for axis in range(dimension):
                     j, k = below[axis, i], above[axis, i]
-                    if j >= 0 and flux[axis, i] > 0.0:
-                        held += flux[axis, i] * c[q, j]
-                        volume += flux[axis, i]
-                    if k >= 0 and flux[axis, k] < 0.0:
-                        held -= flux[axis, k] * c[q, k]
-                        volume -= flux[axis, k]
-                if volume > 0.0:
-                    value = held / volume
-                    change = max(change, abs(value - c[q, i]))
-                    c[q, i] = value
-            if change <= _SETTLED:
+                    if j >= 0:
+                        through = flux[axis, i]
+                        if through > 0.0:
+                            held += through * c[q, j]
+                            volume += through
+                        else:
+                            leaves |= through < 0.0
+                    if k >= 0:
+                        through = flux[axis, k]
+                        if through < 0.0:
+                            held -= through * c[q, k]
+                            volume -= through
+                        else:
+                            leaves |= through > 0.0
+                if volume <= 0.0:
+                    continue
+                value = held / volume
+                changed = abs(value - c[q, i]) > _SETTLED
+                c[q, i] = value
+                if not (changed and leaves):
+                    continue
+                for axis in range(dimension):
+                    j, k = below[axis, i], above[axis, i]
+                    if j >= 0 and flux[axis, i] < 0.0:
+                        waits[j] = True
+                        settled = False
+                    if k >= 0 and flux[axis, k] > 0.0:
+                        waits[k] = True
+                        settled = False
+            if settled:
                 break
 
 

@@ -13,7 +13,8 @@ own as positivity asks for. Steps are limited for accuracy alone (`MovingCells.g
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -27,13 +28,16 @@ from scaleup.api import (
 )
 from scaleup_semi_lagrangian.carriage import Carriage, strides_of
 from scaleup_semi_lagrangian.exchange import Exchange, steps
-from scaleup_semi_lagrangian.kept import Kept, budget_of_rank
+from scaleup_semi_lagrangian.fills import NO_CHANGES, Changes, fill_at, find_changes
+from scaleup_semi_lagrangian.kept import Kept, Sized, budget_of_rank
 from scaleup_semi_lagrangian.moving_cells import MovingCells, find_moving
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian import SemiLagrangian
 
 _EMPTY = 1e-13  # fill fraction
+
+T = TypeVar("T", bound=Sized)
 
 
 class Transport:
@@ -55,26 +59,61 @@ class Transport:
         budget = 1e9 * options.memory if options.memory else budget_of_rank(self._split.comm)
         self._kept = Kept(budget, self._split.largest)
         self._pace: dict[int, tuple[float, int]] = {}  # longest step (s) and moving cells
-        self._deformation = options.deformation or (2.0 if self._grid.dimension == 2 else 4.0)
+        self._deformation = options.deformation or (2.0 if self._grid.dimension == 2 else 5.0)
         self._per_edge = options.subcells or (4 if self._grid.dimension == 2 else 2)
+        self._times = scene.flow.times.tolist()
+        self._index = -1
+        self._placed: tuple[int, Any] | None = None
+        self._share = 0.0  # of the interval that has passed...
+        self._fraction = np.zeros(len(self._owned))  # ...with which local cells are filled so much
         self._enter(index)
-        active = self._interval.cells
-        local = self._split.placing(active).local(concentration[:-1])
-        self._field.flat[...] = local
-        self._now = self._interval.start
+        self._field.flat[...] = self._placing.local(concentration[:-1])
 
     def _enter(self, index: int) -> None:
-        """Take up an interval: what moves in it, and who exchanges."""
-        self._index = index
-        self._interval = self._scene.flow.intervals[index]
-        self._placing = self._split.placing(self._interval.cells)
+        """Take up an interval: what changes and moves in it, and who exchanges."""
+        before, self._index = self._index, index
+        self._start, self._end = self._times[index], self._times[index + 1]
         self._moving: MovingCells | None = None
-        self._filled: tuple[float, FloatArray] | None = None
-        self._exchange = self._kept.get(("exchange", index), self._find_exchange)
+        self._changes = self._keep(("changes", index), self._find_changes)
+        if before < 0 or self._share != 1.0 or index != self._next(before):
+            # what does not change in this interval is not known either
+            start = self._interval.fill_start / self._grid.cell_volume
+            self._fraction[...] = self._placing.local(start)
+        self._fill_at(self._start)
+        self._exchange = self._keep(("exchange", index), self._find_exchange)
         if index not in self._pace:
             moving = self._find_moving()
             longest = self._deformation / max(moving.greatest_gradient(), 1e-300)
             self._pace[index] = longest, len(moving.cells)
+
+    def _keep(self, key: Hashable, build: Callable[[], T]) -> T:
+        """The one of this key: kept if the flow comes back to it, or built (collective)."""
+        if self._index < self._scene.flow.prefix:
+            return build()
+        return self._kept.get(key, build)
+
+    def _next(self, index: int) -> int:
+        """The interval after this one."""
+        return index + 1 if index + 2 < len(self._times) else self._scene.flow.prefix
+
+    @property
+    def _interval(self) -> Interval:
+        """The present one. Asked for only where something is built from it: that takes time."""
+        return self._scene.flow.intervals[self._index]
+
+    @property
+    def _placing(self) -> Any:
+        """Of its cells; the last one is kept."""
+        if self._placed is None or self._placed[0] != self._index:
+            self._placed = self._index, self._split.placing(self._interval.cells)
+        return self._placed[1]
+
+    def _find_changes(self) -> Changes:
+        interval = self._interval
+        if self._lasts:
+            return NO_CHANGES
+        fills = np.stack([interval.fill_start, interval.fill_end]) / self._grid.cell_volume
+        return find_changes(*self._placing.local(fills))
 
     def _find_moving(self) -> MovingCells:
         """The interval's moving cells; looked for where a carriage is built only."""
@@ -83,10 +122,12 @@ class Transport:
         return self._moving
 
     def _find_exchange(self) -> Exchange:
-        here = self._placing.place >= 0
+        place = self._placing.place
+        tensor = self._scene.tensor(self._interval)
+        diffuses = (place >= 0) & (np.einsum("aai->i", tensor) > 0.0)
         exchange = Exchange(
-            self._scene.tensor(self._interval)[:, :, here], self._grid.spacing,
-            self._placing.place[here], strides_of(self._split), self._owned,
+            tensor[:, :, diffuses], self._grid.spacing, place[diffuses],
+            strides_of(self._split), self._owned,
         )  # fmt: skip
         if exchange.reach > self._split.halo:
             raise InputError(
@@ -106,7 +147,6 @@ class Transport:
         ledger = Ledger(steps=count, cell_updates=count * moving * len(self._field.flat))
         for number in range(count):
             self._step(start + number * dt, start + (number + 1) * dt, ledger)
-        self._now = end
         return ledger
 
     def _step(self, start: float, end: float, ledger: Ledger) -> None:
@@ -119,21 +159,15 @@ class Transport:
 
     def _carriage(self, start: float, end: float) -> Carriage:
         """The carriage of a step: kept, or built."""
-        interval, steady = self._interval, self._lasts
-        share = (
-            (0.0, 1.0) if steady
-            else tuple((t - interval.start) / interval.duration for t in (start, end))
-        )  # fmt: skip
+        share = (0.0, 1.0) if self._lasts else (self._share_at(start), self._share_at(end))
 
         def build() -> Carriage:
-            material = self._fraction(start) > _EMPTY
             return Carriage(
-                self._grid, self._split, self._find_moving(), material, share, end - start,
-                self._per_edge,
+                self._grid, self._split, self._find_moving(), self._fraction > _EMPTY, share,
+                end - start, self._per_edge,
             )  # fmt: skip
 
-        key = ("carriage", self._index, self._moment(start), round(end - start, 9))
-        return self._kept.get(key, build)
+        return self._keep(("carriage", self._index, share, round(end - start, 9)), build)
 
     @property
     def _lasts(self) -> bool:
@@ -141,33 +175,32 @@ class Transport:
         flow = self._scene.flow
         return flow.steady and self._index == flow.prefix
 
-    def _moment(self, time: float) -> float:
-        """By which what belongs to a time of the interval (s) is found again."""
-        return 0.0 if self._lasts else round(time, 9)
+    def _share_at(self, time: float) -> float:
+        """Share of the interval that has passed at a time (s), the same each time round."""
+        if self._lasts:
+            return 0.0
+        return round((time - self._start) / (self._end - self._start), 9)
 
-    def _fraction(self, time: float) -> FloatArray:
-        """Fill fraction in local arrays at a time of the interval, s; the last one is kept."""
-        moment = self._moment(time)
-        if self._filled is None or self._filled[0] != moment:
-            fill = self._interval.fill_start if self._lasts else self._interval.fill(time)
-            self._filled = moment, self._placing.local(fill / self._grid.cell_volume)
-        return self._filled[1]
+    def _fill_at(self, time: float) -> None:
+        """Fill the local cells as at a time of the interval, s."""
+        self._share = self._share_at(time)
+        fill_at(self._fraction, self._changes, self._share)
 
     def _diffuse(self, time: float, duration: float) -> None:
         """Exchange over a duration (s) with the fills at a time; collective."""
-        fraction = self._fraction(time)
-        fastest = self._exchange.fastest(self._moment(time), fraction, self._split.largest)
+        self._fill_at(time)
+        fastest = self._exchange.fastest(self._share, self._fraction, self._split.largest)
         if fastest == 0.0:
             return
         count = steps(duration, fastest)
         for _ in range(count):
-            self._exchange.step(self._field.flat, self._gain, fraction, duration / count)
+            self._exchange.step(self._field.flat, self._gain, self._fraction, duration / count)
             self._field.exchange()
 
     def concentration(self, interval: Interval) -> FloatArray:
         """(components, n) on an interval's cells, on every rank; sums to 1 (collective)."""
         now = self._interval
-        fill = now.fill_start if self._lasts else now.fill(self._now)
+        fill = (1.0 - self._share) * now.fill_start + self._share * now.fill_end
         known = now.cells[fill > _EMPTY * self._grid.cell_volume]
         mine, where = self._split.owned_cells(known)
         place = np.ravel_multi_index(where, self._split.local_shape)

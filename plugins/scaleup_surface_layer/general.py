@@ -31,7 +31,7 @@ from scaleup_surface_layer.vessel_frame import VesselFrame, upper_half
 if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
 
-_RIM_CELLS = 4  # by how many cells the rim may turn in an interval
+_RIM_CELLS = 8  # by how many cells the rim may turn in an interval
 _LONGEST = 120  # intervals in a revolution, at least: 3 degrees
 _MOVE = 0.5  # cost of going through an interval over that of closing it
 _ACROSS = 72  # columns across the vessel, at most, unless asked for
@@ -173,6 +173,10 @@ def _divisible(count: int) -> int:
 
 
 def _intervals(scene: Scene) -> int:
-    """Per revolution: 3 degrees, or less where the rim would turn by more than a few cells."""
+    """Per revolution: 3 degrees, or less where the rim would turn by more than a few cells.
+
+    Usual points of a blend curve (twentieths of a revolution) and of pictures (eighths) fall on
+    their boundaries, so that no step is cut in two there.
+    """
     rim = 2 * math.pi * scene.geometry.reach / scene.grid.spacing[0]
-    return 4 * math.ceil(max(_LONGEST, rim / _RIM_CELLS) / 4)
+    return 40 * math.ceil(max(_LONGEST, rim / _RIM_CELLS) / 40)
