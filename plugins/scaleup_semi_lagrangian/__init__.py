@@ -25,7 +25,7 @@ class SemiLagrangian:
 
         deformation: Annotated[float, Field(gt=0)] | None = None
         """of a cell in a step, at most: the greatest velocity gradient times the step; default 2
-        in 2-D, 4 in 3-D"""
+        in 2-D, 5 in 3-D"""
         time_step: units.Time | None = None
         """s, in place of the limit on deformation"""
         subcells: Annotated[int, Field(ge=2, le=8)] | None = None

@@ -166,6 +166,39 @@ def grow(used, seeds, below):
 
 
 @njit(cache=True)
+def join(used, main, others, below):
+    """Mark as used the cells on a shortest way from each of the others to the main set."""
+    dimension, n = below.shape
+    above = np.full_like(below, -1)
+    for axis in range(dimension):
+        for cell in range(n):
+            if below[axis, cell] >= 0:
+                above[axis, below[axis, cell]] = cell
+    towards = np.full(n, -1, dtype=np.int32)
+    line = np.empty(n, dtype=np.int32)
+    end = 0
+    for cell in range(n):
+        if main[cell]:
+            towards[cell], line[end] = cell, cell
+            end += 1
+    now = 0
+    while now < end:
+        cell = line[now]
+        now += 1
+        for axis in range(dimension):
+            for neighbour in (below[axis, cell], above[axis, cell]):
+                if neighbour >= 0 and towards[neighbour] < 0:
+                    towards[neighbour], line[end] = cell, neighbour
+                    end += 1
+    for cell in range(n):
+        if others[cell] and not main[cell]:
+            on_way = cell
+            while towards[on_way] >= 0 and not main[on_way]:
+                used[on_way] = True
+                on_way = towards[on_way]
+
+
+@njit(cache=True)
 def find_resting(vessel, fill, capacity, index, layer):
     """Cells with material that have no number in `index`: partly filled ones, and runs of full.
 

@@ -36,6 +36,7 @@ from scaleup_surface_layer.moving_cells import (
     find_components,
     find_moving,
     grow,
+    join,
     neighbours_below,
     spread_cure,
 )
@@ -47,7 +48,6 @@ _MIRROR = 1e-13  # of the reach: what a symmetric vessel's mirror image may be o
 _POCKET = 1e-2  # of the vessel's cells: fewer that hang together are no part of it
 _EXACT = 1e-9  # of the room of cells, by which a fill that is known may be corrected
 _GROWTH = (1, 2, 4, 0)  # rings of cells by which sets that cannot keep their volume grow
-_FARTHER = (1, 2, 4, 8, 16, 32, 64, 0)  # the same, through any cell of the vessel
 _CHUNK = 500_000  # cells cut at once
 
 
@@ -127,13 +127,10 @@ class VesselFrame:
     def move(self, steps: Sequence[BedStep], goal: FloatArray | None = None) -> Draft:
         """Go on by the interval that consists of some steps; `goal`: the fill it must end with."""
         cells, part = self._find(steps)
-        if goal is not None:
-            cells, part = _with_more(cells, part, np.flatnonzero(goal != self.fill))
-        draft = self._moved(steps, goal, cells, part, _GROWTH)
-        if draft is None:  # let the correction pass through any cell of the vessel
-            cells, part = _with_more(cells, part, self.vessel)
-            draft = self._moved(steps, goal, cells, part, _FARTHER)
-            assert draft is not None
+        if goal is None:
+            draft = self._moved(steps[-1], cells, part)
+        else:
+            draft = self._brought_to(goal, cells, part)
         self.fill[draft.cells] = draft.after
         return draft
 
@@ -159,44 +156,70 @@ class VesselFrame:
             *self.place,
         )
 
-    def _moved(
-        self,
-        steps: Sequence[BedStep],
-        goal: FloatArray | None,
-        cells: IntArray,
-        part: IntArray,
-        growth: tuple[int, ...],
-    ) -> Draft | None:
-        """The draft on these candidates; None if a goal cannot be met on them but might on more."""
-        last = steps[-1]
+    def _moved(self, last: BedStep, cells: IntArray, part: IntArray) -> Draft:
+        """The draft on these candidates that ends with the bed's surface after the last step."""
         before, capacity = self.fill[cells], self.capacity[cells]
-        after = goal[cells] if goal is not None else None
-        if after is None:
-            after = self._cut(cells, self.layer(last, 1.0), last.after.phase)
-        wet = (before > 0) | (after > 0) | (part == 2) | (growth == _FARTHER)
-        used = np.abs(after - before) > 1e-14 * self.grid.cell_volume
-        used |= wet & (part > 0)
-        self.index[cells] = np.arange(len(cells))
-        below = neighbours_below(cells, self.index, self.apertures, self.strides, wet)
-        self.index[cells] = -1
-        bound = 0.9 if goal is None else _EXACT
-        for rings in growth:
+        after = self._cut(cells, self.layer(last, 1.0), last.after.phase)
+        used, wet = self._used(before, after, part)
+        below = self._below(cells, wet)
+        for rings in _GROWTH:
             component, count = find_components(used, below)
             gain, room = component_volumes(component, count, before, after, capacity)
-            stays = np.append(np.abs(gain) > bound * room, False)[component]
+            stays = np.append(np.abs(gain) > 0.9 * room, False)[component]
             lost = float(np.abs(after - before)[stays].sum())
-            if not stays.any() or (goal is None and lost < _SLIVERS * self.volume):
+            if lost < _SLIVERS * self.volume:
                 break
             for _ in range(rings):
                 grow(used, stays, below)
         if stays.any():
-            if goal is not None and growth is not _FARTHER:
-                return None
             self.stuck = max(self.stuck, lost)
             used &= ~stays
             component, count = find_components(used, below)
-        self._balance(component, count, before, after, capacity, shift=goal is None)
+        self._balance(component, count, before, after, capacity, shift=True)
         return Draft(cells[used], before[used], after[used], component[used], count)
+
+    def _brought_to(self, goal: FloatArray, cells: IntArray, part: IntArray) -> Draft:
+        """The draft that ends with a goal.
+
+        Sets of cells that must exchange volume for it are joined along the shortest ways: through
+        material, or else through any cell of the vessel.
+        """
+        cells, part = _with_more(cells, part, self.vessel)
+        before, after, capacity = self.fill[cells], goal[cells], self.capacity[cells]
+        used, wet = self._used(before, after, part)
+        for passable in (wet, np.ones_like(wet)):
+            below = self._below(cells, passable)
+            for joined in (False, True):
+                component, count = find_components(used, below)
+                gain, room = component_volumes(component, count, before, after, capacity)
+                stays = np.append(np.abs(gain) > _EXACT * room, False)[component]
+                if not stays.any():
+                    break
+                if not joined:
+                    join(used, component == room.argmax(), stays, below)
+        if stays.any():
+            self.stuck = max(self.stuck, float(np.abs(after - before)[stays].sum()))
+            used &= ~stays
+            component, count = find_components(used, below)
+        self._balance(component, count, before, after, capacity, shift=False)
+        return Draft(cells[used], before[used], after[used], component[used], count)
+
+    def _used(
+        self, before: FloatArray, after: FloatArray, part: IntArray
+    ) -> tuple[BoolArray, BoolArray]:
+        """Which candidates change or are run through by the layer, and which hold material."""
+        wet = (before > 0) | (after > 0) | (part == 2)
+        changes = np.abs(after - before) > 1e-14 * self.grid.cell_volume
+        return changes | (wet & (part > 0)), wet
+
+    def _below(self, cells: IntArray, passable: BoolArray) -> IntArray:
+        """Neighbours below of cells, along each axis, where both are passable."""
+        self.index[cells] = np.arange(len(cells))
+        below: IntArray = neighbours_below(
+            cells, self.index, self.apertures, self.strides, passable
+        )
+        self.index[cells] = -1
+        return below
 
     def _balance(
         self,
