@@ -34,6 +34,7 @@ class Blend:
     intensity, intensity_sample -- of component 1
     lacey, rsd -- of the component that is blended worst
     volumes  -- of each component, m^3
+    elapsed  -- s of wall-clock time, those before a resumption included
     profiles -- by revolution: depth below the surface over bed depth, and concentration
     """
 
@@ -43,6 +44,7 @@ class Blend:
     lacey: list[float] = field(default_factory=list)
     rsd: list[float] = field(default_factory=list)
     volumes: list[list[float]] = field(default_factory=list)
+    elapsed: list[float] = field(default_factory=list)
     profiles: dict[str, list[list[float]]] = field(default_factory=dict)
     ledger: Ledger = field(default_factory=Ledger)
     seconds: float = 0.0
@@ -107,6 +109,7 @@ def mix(
             concentration = backend.concentration(interval)
             if revolution in curve and not (resumed and number == first):
                 _measure(blend, config, flow, interval, local, revolution, concentration)
+                blend.elapsed.append(time.monotonic() - began)
             if results is not None and root:
                 if number == 0:
                     results.create()
