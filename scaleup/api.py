@@ -34,6 +34,7 @@ from scaleup.scene import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene import Model as PluginOptions
 from scaleup.spread import spread_outwards
 from scaleup.stream_function import fit_stream_function, flow_from_stream_function
+from scaleup.symmetric_solve import SymmetricSolver
 from scaleup.vessel_shape import (
     froude_number,
     is_circle,
@@ -80,6 +81,7 @@ __all__ = [
     "Progress",
     "RunError",
     "Scene",
+    "SymmetricSolver",
     "cut_fraction",
     "cut_fraction_of_cells",
     "fill_to_volume",

@@ -13,10 +13,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from scaleup.errors import RunError
 from scaleup.flow_field import Axis, FlowField, Frame, interval_from_dense
 from scaleup.grid import BoolArray, FloatArray, Grid
+from scaleup.symmetric_solve import SymmetricSolver
 
 _STILL = 1e-9  # of the greatest relative speed: below it a direction would be rounding
 
@@ -80,8 +82,6 @@ def fit_stream_function(
     Returns psi, m^2/s, shape (ny + 1, nx + 1). Runs on this process alone.
     Raises RunError if the linear solve does not converge.
     """
-    from petsc4py import PETSc
-
     number = np.full(inside.shape, -1, dtype=np.int64)
     n = int(inside.sum())
     number[inside] = np.arange(n)
@@ -107,27 +107,11 @@ def fit_stream_function(
     columns.append(np.arange(n))
     entries.append(diagonal)
     row, column, entry = (np.concatenate(part) for part in (rows, columns, entries))
-    order = np.lexsort((column, row))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n))])
-    matrix = PETSc.Mat().createAIJ(
-        (n, n),
-        csr=(
-            starts.astype(PETSc.IntType),
-            column[order].astype(PETSc.IntType),
-            entry[order],
-        ),
-        comm=PETSc.COMM_SELF,
-    )
-    solver = PETSc.KSP().create(PETSc.COMM_SELF)
-    solver.setOperators(matrix)
-    solver.setType("cg")
-    solver.getPC().setType("gamg")
-    solver.setTolerances(rtol=1e-10, max_it=2000)
-    solution, load = matrix.createVecRight(), matrix.createVecLeft()
-    load.setArray(right)
-    solver.solve(load, solution)
-    if solver.getConvergedReason() <= 0:
+    solver = SymmetricSolver(csr_matrix((entry, (row, column)), shape=(n, n)), 1e-10)
+    solution, converged = solver.solve(right)
+    solver.close()
+    if not converged:
         raise RunError("the projection of the flow onto the grid did not converge")
     psi = np.zeros(inside.shape)
-    psi[inside] = solution.getArray()
+    psi[inside] = solution
     return psi

@@ -11,7 +11,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 FLOORS = [
     {"errors", "files", "ledger", "__init__"},
     {"grid", "units", "launch"},
-    {"spread", "cut_kernel", "merged_cells", "flux_kernels"},
+    {"spread", "cut_kernel", "merged_cells", "flux_kernels", "symmetric_solve"},
     {"cut_cells", "closed_surface"},
     {"flow_field", "scene", "parallel", "decomposition", "progress", "loading_file"},
     {

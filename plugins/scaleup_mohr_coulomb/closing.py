@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from scaleup.api import FloatArray, Grid, RunError
+from scaleup.api import FloatArray, Grid, RunError, SymmetricSolver
 
 _PASSES = 3
 _BALANCED = 2e-13  # of a cell's volume
@@ -103,8 +103,6 @@ def closed_fluxes(
     ``cell_rate`` is a cell's volume over the interval, m^3/s: what the balance is measured against.
     Raises RunError where that cannot be.
     """
-    from petsc4py import PETSc
-
     n = len(faces.cells)
     flux = given.copy()
     if n == 0:
@@ -116,30 +114,15 @@ def closed_fluxes(
     diagonal = np.bincount(faces.lower, weight, n) + np.bincount(faces.upper, weight, n)
     diagonal[np.unique(group, return_index=True)[1]] += 1e-3 * max(diagonal.max(), 1e-300)
     matrix = coo_matrix((np.concatenate([-weight, -weight, diagonal]), (rows, columns))).tocsr()
-    system = PETSc.Mat().createAIJ(
-        (n, n),
-        csr=(
-            matrix.indptr.astype(PETSc.IntType),
-            matrix.indices.astype(PETSc.IntType),
-            matrix.data,
-        ),
-        comm=PETSc.COMM_SELF,
-    )
-    solver = PETSc.KSP().create(PETSc.COMM_SELF)
-    solver.setOperators(system)
-    solver.setType("cg")
-    solver.getPC().setType("hypre")
-    solver.setTolerances(rtol=1e-9, max_it=2000)
-    solution, load = system.createVecs()
+    solver = SymmetricSolver(matrix, 1e-9, "hypre")
     for _ in range(_PASSES):
         missing = demand - faces.outflow(flux)
         if np.abs(missing).max(initial=0.0) <= _BALANCED * cell_rate:
             break
         missing -= (np.bincount(group, missing, count) / np.bincount(group, None, count))[group]
-        load.setArray(missing)
-        solver.solve(load, solution)
-        potential = solution.getArray()
+        potential, _ = solver.solve(missing)
         flux += weight * (potential[faces.lower] - potential[faces.upper])
+    solver.close()
     missing = demand - faces.outflow(flux)
     if np.abs(missing).max() > 4.0 * _BALANCED * cell_rate:
         raise RunError(

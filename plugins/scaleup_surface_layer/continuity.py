@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
 
-from scaleup.api import FloatArray, IntArray, RunError
+from scaleup.api import FloatArray, IntArray, RunError, SymmetricSolver
 
 _SOLVED = 1e-8  # residual of the correction over what is to be corrected
 
@@ -141,8 +141,6 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
 
     Conjugate gradients with algebraic multigrid.
     """
-    from petsc4py import PETSc
-
     n = segments.count
     lower, upper = segments.lower, segments.upper
     if len(w) == 0:
@@ -158,29 +156,12 @@ def _potential(segments: Segments, w: FloatArray, need: FloatArray) -> FloatArra
         ),
         shape=(n, n),
     )
-    operator = PETSc.Mat().createAIJ(
-        (n, n),
-        csr=(
-            matrix.indptr.astype(PETSc.IntType),
-            matrix.indices.astype(PETSc.IntType),
-            matrix.data,
-        ),
-        comm=PETSc.COMM_SELF,
-    )
-    solver = PETSc.KSP().create(PETSc.COMM_SELF)
-    solver.setOperators(operator)
-    solver.setType("cg")
-    solver.getPC().setType("gamg")
-    solver.setTolerances(rtol=_SOLVED, max_it=1000)
-    solution, load = operator.createVecRight(), operator.createVecLeft()
+    solver = SymmetricSolver(matrix, _SOLVED, most=1000)
     # inflow is positive: w (phi_lower - phi_upper) runs from lower to upper
-    load.setArray(-need)
-    solver.solve(load, solution)
-    if solver.getConvergedReason() <= 0:
+    phi, converged = solver.solve(-need)
+    solver.close()
+    if not converged:
         raise RunError("surface-layer: the correction of the fluxes did not converge")
-    phi: FloatArray = solution.getArray().copy()
-    for handle in (solver, operator, solution, load):
-        handle.destroy()
     return phi
 
 
