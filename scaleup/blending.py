@@ -92,9 +92,13 @@ def mix(
     split = Decomposition(flow.grid, flow.ever_active(), comm, halo=backend.halo)
     tensor = partial(_tensor, flow=flow, config=config)
     grain = config.material.grain_diameter
-    scene = MixingScene(flow, config.diffusion, grain, split, tensor, force)
-    backend.start(scene, concentration, index)
 
+    def begin(revolution: float) -> None:
+        law = tensor if revolution >= round(config.diffusion.after, 9) else _no_diffusion
+        scene = MixingScene(flow, config.diffusion, grain, split, law, force)
+        backend.start(scene, concentration, index)
+
+    begin(points[first])
     began = last_kept = time.monotonic() - blend.seconds
     with Reporter("mixing", visible=root and results is not None) as progress:
         for number in range(first, len(points)):
@@ -122,6 +126,8 @@ def mix(
                 (number + 1) / len(points),
                 f"revolution {revolution:.2f}, I = {blend.intensity[-1]:.3f}",
             )
+            if number > first and revolution == round(config.diffusion.after, 9):
+                begin(revolution)
             blend.seconds = time.monotonic() - began
             due = time.monotonic() - last_kept >= config.output.checkpoint_every
             if checkpoint is not None and root and (due or number == len(points) - 1):
@@ -136,6 +142,11 @@ def mix(
 
 def _tensor(interval: Interval, flow: FlowField, config: RunConfig) -> FloatArray:
     return diffusion_tensor(flow, interval, config.diffusion, config.material.grain_diameter)
+
+
+def _no_diffusion(interval: Interval) -> FloatArray:
+    dimension, n = interval.direction.shape
+    return np.zeros((dimension, dimension, n))
 
 
 def _measure(
@@ -174,12 +185,16 @@ def _profile(
 
 
 def _curve_points(config: RunConfig) -> set[float]:
-    """Revolutions at which the blend is measured: multiples of the asked steps, and the last."""
+    """Revolutions at which the blend is measured: multiples of the asked steps, and the last.
+
+    Also where diffusion sets in.
+    """
     last, every = config.operation.revolutions, config.output.metrics_every
     points = {round(n * every, 9) for n in range(math.floor(last / every + 1e-9) + 1)}
     snapshots = config.output.snapshots_every
     points |= {round(n * snapshots, 9) for n in range(math.floor(last / snapshots + 1e-9) + 1)}
-    return points | {last}
+    sets_in = round(config.diffusion.after, 9)
+    return points | {last} | ({sets_in} if sets_in < last else set())
 
 
 def _picture_points(config: RunConfig, flow: FlowField) -> set[float]:

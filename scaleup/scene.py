@@ -198,3 +198,5 @@ class Diffusion(Model):
     """diffusion across the flow over shear rate times grain diameter squared"""
     k2_ratio: Annotated[float, Field(ge=0, le=100)] = 1.9
     """diffusion along the flow over that across it"""
+    after: Annotated[float, Field(ge=0)] = 0.0
+    """revolutions of advection alone, before diffusion sets in (the paper's mixing: 0.25)"""
