@@ -59,6 +59,9 @@ class MohrCoulomb:
         time_limit: units.Time | None = None
         """s of flow after which the run stops anyway; default 140 sqrt(reach/g)"""
 
+        start_up: bool = False
+        """2-D: begin with the solved first avalanche and swings, not with the mean flow"""
+
         intervals: Annotated[int, Field(ge=24, le=720)] = 60
         """in space: of a revolution, in each of which the fluxes are constant"""
         revolutions: Annotated[int, Field(ge=2, le=20)] = 2
@@ -83,6 +86,10 @@ class MohrCoulomb:
         if geometry.dimension == 2:
             require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
             return
+        if self.options.start_up:
+            raise InputError(
+                "flow.start_up = true: for 2-D only; a flow in space begins with its start-up"
+            )
         if tuple(geometry.axis.direction) != (0.0, 0.0, 1.0):
             raise InputError("flow.name = 'mohr-coulomb': the axis of rotation must run along z")
         if tuple(geometry.axis.point[:2]) != (0.0, 0.0):
@@ -105,7 +112,12 @@ class MohrCoulomb:
         def work() -> FlowField:
             from scaleup_mohr_coulomb.on_grid import flow_field
             from scaleup_mohr_coulomb.solve import steady_bed
+            from scaleup_mohr_coulomb.start_up import with_start_up
 
-            return flow_field(steady_bed(scene, self.options, progress, memory), scene)
+            bed = steady_bed(scene, self.options, progress, memory)
+            flow = flow_field(bed, scene)
+            if bed.start_up is None:
+                return flow
+            return with_start_up(flow, bed, bed.start_up, scene, progress)
 
         return on_root_alone(comm, work)

@@ -53,7 +53,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
 
     wet, flux = [], []
     for axis in (0, 1):
-        share, points = _wet_part(corners, material, grid, axis)
+        share, points = wet_part(corners, material, grid, axis)
         velocity = np.zeros(share.shape)
         there = share > 0
         inside = kept_inside(geometry, points[there])
@@ -80,7 +80,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
     )
 
 
-def _wet_part(
+def wet_part(
     corners: FloatArray, material: FloatArray, grid: Grid, axis: int
 ) -> tuple[FloatArray, FloatArray]:
     """Wet share of the faces normal to an axis, in [0, 1], and the middle of the wet part.

@@ -194,3 +194,5 @@ class SteadyOptions:
     """Natural periods of the bed averaged over, at least, once it no longer swings."""
     time_limit: float = math.inf
     """Time of flow after which the run stops anyway, s.  Rule: 140 sqrt(R/g), about 16 swings."""
+    start_up: bool = False
+    """Whether the means before the stretch averaged over are wanted too."""

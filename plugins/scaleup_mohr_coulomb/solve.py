@@ -14,6 +14,7 @@ from scaleup.api import Memory, Progress, RunError, Scene
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
+from scaleup_mohr_coulomb.start_up import StartUp
 from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, run_to_steady
 from scaleup_mohr_coulomb.stepping import CarefulSteps
 from scaleup_mohr_coulomb.swings import SwingAverage
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 _SECONDS_BETWEEN_CHECKPOINTS = 20.0
 _TIME_LIMIT = 140.0  # sqrt(reach/g); the bed's swings last about 9
-_FIELDS = ("velocity", "level_set")
+_FIELDS = ("velocity", "level_set", "mesh", "start_up")  # of a bed, kept apart from its numbers
 
 
 def steady_bed(
@@ -75,6 +76,8 @@ def steady_bed(
         "angle_tolerance": options.angle_tolerance,
         "velocity_tolerance": options.velocity_tolerance,
     }
+    if options.start_up:
+        finished["start_up"] = True
     known = memory.recall(finished)
     if known is not None and np.array_equal(known["vertices"], vertices):
         progress(1.0, "steady bed reused from the store")
@@ -109,6 +112,7 @@ def steady_bed(
         angle_tolerance=options.angle_tolerance,
         velocity_tolerance=options.velocity_tolerance,
         time_limit=limit,
+        start_up=options.start_up,
     )
     try:
         bed = run_to_steady(steps, steady, keep_and_report)
@@ -134,8 +138,11 @@ def _to_arrays(bed: SteadyBed) -> dict[str, Any]:
         "level_set": bed.level_set.field.vec.FV().NumPy().copy(),
     }
     for entry in dataclasses.fields(bed):
-        if entry.name not in (*_FIELDS, "mesh"):
+        if entry.name not in _FIELDS:
             arrays[entry.name] = np.asarray(getattr(bed, entry.name))
+    if bed.start_up is not None:
+        for name, value in vars(bed.start_up).items():
+            arrays[f"start_up.{name}"] = np.asarray(value)
     return arrays
 
 
@@ -147,9 +154,16 @@ def _from_arrays(arrays: dict[str, Any], mesh: Any, numerics: Discretisation) ->
     numbers = {
         entry.name: arrays[entry.name] if arrays[entry.name].ndim else arrays[entry.name].item()
         for entry in dataclasses.fields(SteadyBed)
-        if entry.name not in (*_FIELDS, "mesh")
+        if entry.name not in _FIELDS
     }
-    return SteadyBed(mesh=mesh, velocity=velocity, level_set=level_set, **numbers)
+    begun = _part(arrays, "start_up")
+    start_up = None
+    if begun:
+        block, angle = begun["block"].item(), begun["angle"].item()
+        start_up = StartUp(begun["velocities"], begun["levels"], block, angle)
+    return SteadyBed(
+        mesh=mesh, velocity=velocity, level_set=level_set, start_up=start_up, **numbers
+    )
 
 
 def _part(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:

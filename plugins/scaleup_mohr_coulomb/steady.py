@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .level_set import LevelSet
 from .parameters import SteadyOptions
+from .start_up import StartUp
 from .stepping import CarefulSteps
 from .swings import Window
 
@@ -81,6 +82,8 @@ class SteadyBed:
     """Halvings of the nominal time step that the recovery needed at most."""
     seconds: float
     """Wall-clock time of the run."""
+    start_up: StartUp | None = None
+    """The flow before the stretch averaged over, if asked for."""
 
 
 def run_to_steady(steps: CarefulSteps, options: SteadyOptions, progress: Progress) -> SteadyBed:
@@ -113,7 +116,8 @@ def run_to_steady(steps: CarefulSteps, options: SteadyOptions, progress: Progres
             f"{options.time_limit:.3g} s, after {flow.steps} steps: raise the time limit."
         )
     progress(1.0, _message(steps, window) + ("" if converged else ", time limit reached"))
-    return _steady_bed(steps, window, converged, seconds)
+    bed = _steady_bed(steps, window, converged, seconds)
+    return replace(bed, start_up=_start_up(steps, window)) if options.start_up else bed
 
 
 def _known(window: Window | None, velocity_error: float, options: SteadyOptions) -> bool:
@@ -140,6 +144,14 @@ def _message(steps: CarefulSteps, window: Window | None) -> str:
     angle, error = math.degrees(window.angle), math.degrees(window.angle_error)
     kind = "swings" if window.swinging else "natural periods"
     return f"{now}, mean {angle:.2f} +- {error:.2f} deg over {window.parts} {kind}"
+
+
+def _start_up(steps: CarefulSteps, window: Window) -> StartUp:
+    flow, average = steps.flow, steps.average
+    velocities, levels = np.split(average.means_before(window), [len(flow.velocity.vec)], axis=1)
+    numerics = flow.discretisation
+    block = average.block * numerics.time_step
+    return StartUp(velocities, levels, block, numerics.start_angle)
 
 
 def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: float) -> SteadyBed:

@@ -114,6 +114,10 @@ class SwingAverage:
         mean /= (last - first) * self.block
         return mean
 
+    def means_before(self, window: Window) -> NDArray[Any]:
+        """Mean coefficients (blocks, n) of velocity and level set in each block before a window."""
+        return np.array(self._sums[: round(window.first / self.block)]) / self.block
+
     def velocity_errors(self, window: Window, flow: TwoPhaseFlow) -> tuple[float, float]:
         """Standard error of the mean velocity, and its drift per revolution; both relative.
 

@@ -167,7 +167,8 @@ class Transport:
                 end - start, self._per_edge,
             )  # fmt: skip
 
-        return self._keep(("carriage", self._index, share, round(end - start, 9)), build)
+        key = ("carriage", self._index, *(round(s, 9) for s in share), round(end - start, 9))
+        return self._keep(key, build)
 
     @property
     def _lasts(self) -> bool:
@@ -176,10 +177,11 @@ class Transport:
         return flow.steady and self._index == flow.prefix
 
     def _share_at(self, time: float) -> float:
-        """Share of the interval that has passed at a time (s), the same each time round."""
+        """Share of the interval that has passed at a time, s; its ends are met exactly."""
         if self._lasts:
             return 0.0
-        return round((time - self._start) / (self._end - self._start), 9)
+        share = (time - self._start) / (self._end - self._start)
+        return round(share) if abs(share - round(share)) < 1e-9 else share
 
     def _fill_at(self, time: float) -> None:
         """Fill the local cells as at a time of the interval, s."""
@@ -189,7 +191,8 @@ class Transport:
     def _diffuse(self, time: float, duration: float) -> None:
         """Exchange over a duration (s) with the fills at a time; collective."""
         self._fill_at(time)
-        fastest = self._exchange.fastest(self._share, self._fraction, self._split.largest)
+        share = round(self._share, 9)
+        fastest = self._exchange.fastest(share, self._fraction, self._split.largest)
         if fastest == 0.0:
             return
         count = steps(duration, fastest)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from netgen.occ import Circle, Pnt
 from scipy.optimize import brentq
 
+from scaleup.blending import mix
 from scaleup.config import compose, fill_volume
 from scaleup.errors import RunError
 from scaleup.flow_source import obtain_flow
@@ -293,6 +294,46 @@ def test_a_coarse_drum_end_to_end(store):
     assert not finer.reused
     assert finer.seconds < 0.5 * outcome.seconds
     assert finer.flow.summary["surface_angle_deg"] == figures["surface_angle_deg"]
+
+
+def test_the_start_up_leads_from_the_first_slip_to_the_mean_flow(store):
+    """The contract, the avalanche, and mixing with every backend on the way through."""
+    asked = [*COARSE, "flow.angle_tolerance='1 deg'", "flow.velocity_tolerance=0.2"]
+    asked += ["flow.start_up=true", "grid.spacing='2 mm'", "operation.revolutions=0.1"]
+    config = compose(None, asked)
+    outcome = obtain_flow(config, MPI.COMM_SELF)
+    flow = outcome.flow
+    check_flow(flow, config.plugin("geometry"), fill_volume(config))
+    friction = math.radians(23.6)
+    assert flow.lift == pytest.approx(0.75 * friction, rel=1e-2)
+    assert flow.prefix > 20
+    assert len(flow.intervals) == flow.prefix + 1
+    assert flow.steady
+
+    def inclination(interval):
+        centre = flow.grid.centre_points(interval.cells).T @ interval.fill_start
+        return math.degrees(math.atan2(centre[0], -centre[1]))
+
+    angles = np.array([inclination(interval) for interval in flow.intervals])
+    assert angles[0] == pytest.approx(math.degrees(flow.lift), abs=0.3)
+    peak = int(angles.argmax())
+    assert angles[peak] > angles[-1] + 1.5  # it overshoots, and falls back below the mean
+    assert angles[peak:].min() < angles[-1] - 0.5
+    # until it slips the bed turns with the vessel
+    turned = math.radians(angles[5] - angles[0])
+    assert turned == pytest.approx(OMEGA * flow.intervals[5].start, rel=0.1)
+    assert flow.summary["start_up_projection_change"] < 0.15
+
+    finer = obtain_flow(compose(None, [*asked, "grid.spacing='1.5 mm'"]), MPI.COMM_SELF)
+    assert finer.seconds < 0.5 * outcome.seconds
+    assert finer.flow.prefix == flow.prefix
+
+    for mixing in ("finite-volume", "lax-wendroff", "implicit-fem", "semi-lagrangian"):
+        blend = mix(compose(None, [*asked, f"mixing.name={mixing}"]), flow, MPI.COMM_SELF)
+        assert blend.mass_drift < 1e-12
+        if mixing != "lax-wendroff":  # unlimited
+            assert blend.ledger.minimum > -1e-9
+            assert blend.ledger.maximum < 1 + 1e-9
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def test_paths_in_rigid_rotation_come_back():
     rest = np.zeros_like(moving.start)
     landed, places = follow(
         moving.below, moving.above, moving.flux, moving.shear, moving.full, moving.start, rest,
-        sources, lattice(2, 2), 1.0,
+        sources, lattice(2, 2), 1.0, (0, 1),
     )  # fmt: skip
     end = centre[landed] + (places - 0.5) / 64
     begin = centre[sources][:, None] + (lattice(2, 2) - 0.5) / 64
@@ -50,7 +50,7 @@ def test_middles_tell_where_subcells_of_full_cells_end(name, n):
     )
     landed_by_path, places_by_path = follow(
         moving.below, moving.above, moving.flux, moving.shear, moving.full, moving.start, rest,
-        sources, points, duration,
+        sources, points, duration, tuple(range(points.shape[1])),
     )  # fmt: skip
     corner = moving.coordinates
     apart = corner[landed] + places - corner[landed_by_path] - places_by_path
