@@ -171,6 +171,10 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
             "operation.fill.mass = 1000 kg: the vessel holds 11.6 kg",
         ),
         (
+            ["--geometry", "tote", "--flow", "mohr-coulomb", "--set", "flow.start_up=true"],
+            "flow.start_up = true: for 2-D only",
+        ),
+        (
             ["--geometry", "drum", "--set", "geometry.diameter=140"],
             "reaches 70 m from its axis and holds 154 m^3, but must reach 0.005 to 20 m",
         ),
