@@ -16,6 +16,10 @@ from .mesh import surface_normal, surface_offset
 _NEIGHBOURS = 8
 _SHIFTS = 8
 _SUBDIVISIONS = 4
+# Sweeps that give elements back the area they had before redistancing, each limited to this part of
+# the interface's half width.
+_SWEEPS = 3
+_MOST_SHIFT = 0.1
 # Interface half widths by which the contour is carried on beyond the wall in redistancing.
 _CARRIED = 4
 
@@ -97,8 +101,13 @@ class LevelSet:
 
     def area(self) -> float:
         """Area inside the zero contour, m^2."""
-        values = self._lattice_values()
-        return float((self._areas * _inside_fraction(values[:, self._triangles])).sum())
+        return float(self._element_areas().sum())
+
+    def _element_areas(self, shift: float = 0.0) -> NDArray[Any]:
+        """Area (n_elements,) inside the contour, moved outwards by ``shift`` (m), m^2."""
+        values = self._lattice_values() + shift
+        inside: NDArray[Any] = self._areas * _inside_fraction(values[:, self._triangles])
+        return inside.sum(axis=1)
 
     def shift(self, distance: float) -> None:
         """Move the surface outwards by ``distance`` (m)."""
@@ -143,8 +152,10 @@ class LevelSet:
         """Make phi the signed distance to its own zero contour again.
 
         Where the contour meets the wall it is carried straight on: a distance to its end point
-        would have a kink there, which costs area.
+        would have a kink there, which costs area. Then vertices are shifted until the elements
+        about each hold the area that they held (which straight segments do not keep).
         """
+        held = self._element_areas()
         start, end = self._carried_on(*self.contour())
         side = end - start
         square = (side**2).sum(axis=1)
@@ -155,6 +166,20 @@ class LevelSet:
         along = np.clip((to_node * side[nearest]).sum(axis=2) / square[nearest], 0.0, 1.0)
         distance = np.linalg.norm(to_node - along[:, :, None] * side[nearest], axis=2).min(axis=1)
         self._set_nodal(np.copysign(distance, self._nodal(self.field)))
+        for _ in range(_SWEEPS):
+            self._give_back(held)
+
+    def _give_back(self, held: NDArray[Any]) -> None:
+        """Shift vertices by what the elements about them lack over the contour's length there."""
+        small = 1e-3 * self._half_width
+        missing = held - self._element_areas()
+        length = (self._element_areas(small) - self._element_areas(-small)) / (2.0 * small)
+        vertices, count = self._elements[:, :3].ravel(), self.mesh.nv
+        lacks = np.bincount(vertices, np.repeat(missing, 3), count)
+        lengths = np.bincount(vertices, np.repeat(length, 3), count)
+        shift = np.divide(lacks, lengths, out=np.zeros(count), where=lengths > small)
+        most = _MOST_SHIFT * self._half_width
+        self.field.vec.FV().NumPy()[:count] += np.clip(shift, -most, most)
 
     def _carried_on(
         self, start: NDArray[Any], end: NDArray[Any]
