@@ -3,8 +3,8 @@
 `surface-layer` and `semi-lagrangian` on the V-blender. Parted into the flow, the intervals of the
 start-up and the first revolution (whose paths are searched for) and those that come back; cost is
 core seconds per 10^6 cells and revolution. 10^9 cells on 256 ranks are extrapolated from the
-finest mesh and the power of the cells that the meshes show (at least 1), as if all of it scaled with
-the ranks, which it does not: lists of the moving cells and settling are the same on every rank.
+finest mesh and the power of the cells that the meshes show (at least 1), as if all of it scaled
+with the ranks, which it does not: moving cells and settling are the same on every rank.
 
     python benchmarks/vessel_costs.py [--output DIR] [--cells N ...] [--ranks R ...]
 """
