@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .block_solver import PositiveSolver
-from .factors import SymmetricFactors
+from .element_lattice import ElementLattice
 from .mesh import surface_normal, surface_offset
+from .vertex_shifts import vertex_shifts
 
 _NEIGHBOURS = 8
 _SHIFTS = 8
-_SUBDIVISIONS = 4
-# Sweeps that give elements back the area they had before redistancing, each limited to this part of
-# the interface's half width.
-_SWEEPS = 3
+# Sweeps that give elements the area they should hold, each limited to this part of the interface's
+# half width, and smoothed over so many half widths.
+_SWEEPS = 2
 _MOST_SHIFT = 0.1
+_SPREAD = 1.0
 # Interface half widths by which the contour is carried on beyond the wall in redistancing.
 _CARRIED = 4
 
@@ -49,9 +49,7 @@ class LevelSet:
             coordinate.Set(component)
             columns.append(self._nodal(coordinate))
         self._nodes = np.column_stack(columns)
-        self._lattice, self._triangles = _quadratic_lattice(_SUBDIVISIONS)
-        self._lattice_points = np.einsum("ln,end->eld", self._lattice, self._nodes[self._elements])
-        self._areas = self._triangle_areas()
+        self.lattice = ElementLattice(mesh, self._nodes, self._elements)
 
     def _element_nodes(self) -> NDArray[Any]:
         """Node numbers (n_elements, 6): vertices a, b, c, then midpoints of ab, bc, ca."""
@@ -66,18 +64,9 @@ class LevelSet:
             )
         return np.array(nodes)
 
-    def _triangle_areas(self) -> NDArray[Any]:
-        """Areas (n_elements, n_triangles) of the lattice's triangles, summing to the elements'."""
-        corners = self._lattice_points[:, self._triangles]
-        areas = 0.5 * np.abs(np.linalg.det(corners[:, :, 1:] - corners[:, :, :1]))
-        curved = np.array(ngs.Integrate(1.0, self.mesh, element_wise=True))
-        scaled: NDArray[Any] = areas * (curved / areas.sum(axis=1))[:, None]
-        return scaled
-
-    def _lattice_values(self) -> NDArray[Any]:
+    def lattice_values(self) -> NDArray[Any]:
         """Level set (n_elements, n_points) on the lattice of each element."""
-        values: NDArray[Any] = self._nodal(self.field)[self._elements] @ self._lattice.T
-        return values
+        return self.lattice.values(self._nodal(self.field))
 
     def _nodal(self, function: Any) -> NDArray[Any]:
         """Values at vertices and edge midpoints; NGSolve's edge functions are -1/8 at midpoints."""
@@ -101,13 +90,11 @@ class LevelSet:
 
     def area(self) -> float:
         """Area inside the zero contour, m^2."""
-        return float(self._element_areas().sum())
+        return float(self.element_areas().sum())
 
-    def _element_areas(self, shift: float = 0.0) -> NDArray[Any]:
-        """Area (n_elements,) inside the contour, moved outwards by ``shift`` (m), m^2."""
-        values = self._lattice_values() + shift
-        inside: NDArray[Any] = self._areas * _inside_fraction(values[:, self._triangles])
-        return inside.sum(axis=1)
+    def element_areas(self) -> NDArray[Any]:
+        """Area (n_elements,) inside the contour, m^2."""
+        return self.lattice.areas(self.lattice_values())
 
     def shift(self, distance: float) -> None:
         """Move the surface outwards by ``distance`` (m)."""
@@ -121,10 +108,10 @@ class LevelSet:
 
     def contour(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """End points, each (n, 2) in m, of the segments of the zero contour."""
-        values = self._lattice_values()
+        values = self.lattice_values()
         crossed = (values > 0.0).any(axis=1) & (values <= 0.0).any(axis=1)
-        values = values[crossed][:, self._triangles].reshape(-1, 3)
-        corners = self._lattice_points[crossed][:, self._triangles].reshape(-1, 3, 2)
+        values = values[crossed][:, self.lattice.triangles].reshape(-1, 3)
+        corners = self.lattice.points[crossed][:, self.lattice.triangles].reshape(-1, 3, 2)
         inside = values > 0.0
         n_inside = inside.sum(axis=1)
         cut = (n_inside == 1) | (n_inside == 2)
@@ -155,7 +142,7 @@ class LevelSet:
         would have a kink there, which costs area. Then vertices are shifted until the elements
         about each hold the area that they held (which straight segments do not keep).
         """
-        held = self._element_areas()
+        held = self.element_areas()
         start, end = self._carried_on(*self.contour())
         side = end - start
         square = (side**2).sum(axis=1)
@@ -166,20 +153,23 @@ class LevelSet:
         along = np.clip((to_node * side[nearest]).sum(axis=2) / square[nearest], 0.0, 1.0)
         distance = np.linalg.norm(to_node - along[:, :, None] * side[nearest], axis=2).min(axis=1)
         self._set_nodal(np.copysign(distance, self._nodal(self.field)))
-        for _ in range(_SWEEPS):
-            self._give_back(held)
+        self.hold(held)
 
-    def _give_back(self, held: NDArray[Any]) -> None:
-        """Shift vertices by what the elements about them lack over the contour's length there."""
-        small = 1e-3 * self._half_width
-        missing = held - self._element_areas()
-        length = (self._element_areas(small) - self._element_areas(-small)) / (2.0 * small)
-        vertices, count = self._elements[:, :3].ravel(), self.mesh.nv
-        lacks = np.bincount(vertices, np.repeat(missing, 3), count)
-        lengths = np.bincount(vertices, np.repeat(length, 3), count)
-        shift = np.divide(lacks, lengths, out=np.zeros(count), where=lengths > small)
+    def hold(self, areas: NDArray[Any]) -> None:
+        """Shift vertices until elements hold these ``areas`` (n_elements,), m^2.
+
+        Smoothed over the interface's half width: the sum is met to second order in the shifts.
+        """
         most = _MOST_SHIFT * self._half_width
-        self.field.vec.FV().NumPy()[:count] += np.clip(shift, -most, most)
+        for _ in range(_SWEEPS):
+            values = self.lattice_values()
+            now = self.lattice.areas(values)
+            lengths = self.lattice.contour_weights(values, 1e-3 * self._half_width)
+            spread = _SPREAD * self._half_width
+            shifts = vertex_shifts(
+                self._elements[:, :3], areas - now, lengths, spread, self.mesh.nv
+            )
+            self.field.vec.FV().NumPy()[: self.mesh.nv] += np.clip(shifts, -most, most)
 
     def _carried_on(
         self, start: NDArray[Any], end: NDArray[Any]
@@ -224,105 +214,8 @@ class LevelSet:
         return float(np.arctan2(tangent[1], tangent[0])), centre
 
 
-def _quadratic_lattice(divisions: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Quadratic shape functions (n_points, 6) on a lattice, and its triangles (divisions^2, 3)."""
-    number: dict[tuple[int, int], int] = {}
-    for i in range(divisions + 1):
-        for j in range(divisions + 1 - i):
-            number[i, j] = len(number)
-    b, c = np.array(list(number)).T / divisions
-    a = 1.0 - b - c
-    shapes = np.column_stack(
-        (a * (2 * a - 1), b * (2 * b - 1), c * (2 * c - 1), 4 * a * b, 4 * b * c, 4 * c * a)
-    )
-    triangles = []
-    for i, j in number:
-        if i + j < divisions:
-            triangles.append((number[i, j], number[i + 1, j], number[i, j + 1]))
-        if i + j < divisions - 1:
-            triangles.append((number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]))
-    return shapes, np.array(triangles)
-
-
-def _inside_fraction(values: NDArray[Any]) -> NDArray[Any]:
-    """Part of each triangle where the linear function of corner ``values`` (..., 3) is positive."""
-    low, middle, high = np.moveaxis(np.sort(values, axis=-1), -1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        top = high**2 / ((high - low) * (high - middle))
-        bottom = low**2 / ((high - low) * (middle - low))
-    cut = np.where(middle > 0.0, 1.0 - bottom, top)
-    return np.where(low > 0.0, 1.0, np.where(high <= 0.0, 0.0, cut))
-
-
 def powder_fraction(level_set: Any, half_width: float) -> Any:
     """The smooth step alpha(phi/W) as a coefficient function."""
     z = level_set / half_width
     step = 0.5 + 0.75 * z - 0.25 * z**3
     return ngs.IfPos(1.0 - z, ngs.IfPos(1.0 + z, step, 0.0), 1.0)
-
-
-class Transport:
-    """Least-squares Crank-Nicolson step of d phi/dt + u.grad phi = 0.
-
-    phi^{n+1} minimises the integral of [(phi - phi^n)/dt + u.grad(phi + phi^n)/2]^2: for all s,
-
-        int (phi^{n+1} - phi^n + dt/2 u.grad(phi^{n+1} + phi^n)) (s + dt/2 u.grad s) = 0.
-
-    This is the streamline-upwind Petrov-Galerkin method with the parameter dt/2, its value at small
-    Courant numbers, and has a symmetric, positive definite matrix.  u is the mid-step velocity, a
-    coefficient function that the caller keeps up to date; so is the time step (s) unless a number.
-    """
-
-    def __init__(self, level_set: Any, velocity: Any, time_step: Any) -> None:
-        self._field = level_set.field
-        phi, s = level_set.space.TnT()
-
-        def along(function: Any) -> Any:
-            return 0.5 * time_step * ngs.InnerProduct(velocity, ngs.grad(function))
-
-        test = s + along(s)
-        self._matrix = ngs.BilinearForm(level_set.space, symmetric=True)
-        self._matrix += ((phi + along(phi)) * test).Compile() * ngs.dx
-        self._load = ngs.LinearForm(level_set.space)
-        self._load += ((self._field - along(self._field)) * test).Compile() * ngs.dx
-        self._solver: Any = (
-            SymmetricFactors(self._matrix)
-            if level_set.mesh.dim == 2
-            else PositiveSolver(self._matrix)
-        )
-
-    def step(self) -> None:
-        """Replace phi^n by phi^{n+1}."""
-        self._matrix.Assemble()
-        self._load.Assemble()
-        self._solver.update()
-        self._solver.solve(self._load.vec, self._field.vec)
-
-
-class SolenoidalVelocity:
-    """The velocity without divergence, and without flux through the wall, nearest to another.
-
-    ``field`` is (d psi/dy, -d psi/dx) of a cubic stream function psi that vanishes at the wall and
-    minimises the integral of |(d psi/dy, -d psi/dx) - u|^2.  The momentum's velocity is free of
-    divergence against linear pressures only: moved by it, a bed loses some 1e-5 of its area in
-    every step.  For simply connected cross-sections.
-    """
-
-    def __init__(self, velocity: Any, mesh: Any) -> None:
-        space = ngs.H1(mesh, order=3, dirichlet=".*")
-        psi, s = space.TnT()
-        matrix = ngs.BilinearForm(space, symmetric=True)
-        matrix += ngs.grad(psi) * ngs.grad(s) * ngs.dx
-        matrix.Assemble()
-        self._inverse = matrix.mat.Inverse(space.FreeDofs(), inverse="sparsecholesky")
-        self._load = ngs.LinearForm(space)
-        across = velocity[0] * ngs.grad(s)[1] - velocity[1] * ngs.grad(s)[0]
-        self._load += across.Compile() * ngs.dx
-        self._psi = ngs.GridFunction(space)
-        slope = ngs.grad(self._psi)
-        self.field = ngs.CoefficientFunction((slope[1], -slope[0]))
-
-    def update(self) -> None:
-        """Follow the other velocity, which its owner has changed."""
-        self._load.Assemble()
-        self._psi.vec.data = self._inverse * self._load.vec

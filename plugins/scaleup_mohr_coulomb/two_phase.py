@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from scaleup.api import Material
 
-from .level_set import LevelSet, SolenoidalVelocity, Transport
+from .level_set import LevelSet
 from .mesh import farthest_wall
 from .momentum import Momentum
 from .parameters import Discretisation, Drive, Rheology
 from .rheology import Strength
+from .surface_transport import ConservingTransport, SolenoidalVelocity
 from .viscosity import Viscosity
 
 
@@ -92,7 +93,7 @@ class TwoPhaseFlow:
             wall_velocity=wall_velocity,
         )
         self._mover = SolenoidalVelocity(0.5 * (self.velocity + previous), mesh)
-        self._transport = Transport(self.level_set, self._mover.field, self._step_length)
+        self._transport = ConservingTransport(self.level_set, self._mover, self._step_length)
         half_width = discretisation.interface_half_width
         deep_air = ngs.IfPos(-self.level_set.field - half_width, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep_air, deep_air * self.pressure))

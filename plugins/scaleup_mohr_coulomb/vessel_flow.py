@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from scaleup.api import Geometry, Material, level_height
 
-from .level_set import Transport
 from .momentum import Momentum
 from .parameters import Discretisation, Rheology
 from .rheology import Strength
 from .space_level_set import SpaceLevelSet
 from .space_mesh import WALL
 from .space_velocity import LessDivergent
+from .surface_transport import Transport
 from .two_phase import FlowDiverged
 from .viscosity import Viscosity
 
