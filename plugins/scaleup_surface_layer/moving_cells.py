@@ -152,6 +152,23 @@ def spread_cure(component, cure, after, capacity):
 
 
 @njit(cache=True)
+def put_remainder(component, gain, after, capacity):
+    """Take each component's gain off the fill of its roomiest cell.
+
+    A part of it for each of millions of cells would be less than the round-off of their fills.
+    """
+    roomiest = np.full(len(gain), -1)
+    most = np.zeros(len(gain))
+    for n in range(len(component)):
+        c = component[n]
+        if c >= 0 and min(after[n], capacity[n] - after[n]) > most[c]:
+            roomiest[c], most[c] = n, min(after[n], capacity[n] - after[n])
+    for c in range(len(gain)):
+        if abs(gain[c]) < most[c]:
+            after[roomiest[c]] -= gain[c]
+
+
+@njit(cache=True)
 def grow(used, seeds, below):
     """Mark as used, and as seeds, the neighbours of seeds through open faces."""
     fresh = seeds.copy()

@@ -38,6 +38,7 @@ from scaleup_surface_layer.moving_cells import (
     grow,
     join,
     neighbours_below,
+    put_remainder,
     spread_cure,
 )
 
@@ -231,7 +232,7 @@ class VesselFrame:
         shift: bool,
     ) -> None:
         """Make every component keep its volume."""
-        for turn in range(3):  # once more, and again, for what rounding left
+        for turn in range(2):  # once more for what rounding left
             gain, room = component_volumes(component, count, before, after, capacity)
             cure = np.divide(gain, room, out=np.zeros_like(gain), where=room > 0)
             spread_cure(component, cure, after, capacity)
@@ -239,6 +240,8 @@ class VesselFrame:
                 biggest = int(room.argmax())
                 self._level -= self._rise(float(gain[biggest]), float(room[biggest]))
                 self.greatest_shift = max(self.greatest_shift, abs(self._level))
+        gain, _ = component_volumes(component, count, before, after, capacity)
+        put_remainder(component, gain, after, capacity)
 
     def _cut(self, cells: IntArray, layer: Layer, phase: float) -> FloatArray:
         """Fill of cells below a layer's surface, m^3."""

@@ -15,6 +15,7 @@ from scaleup_surface_layer import general as general_model
 from scaleup_surface_layer.continuity import close_balance, find_segments
 from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
 from scaleup_surface_layer.layer_closing import Quality, close_interval
+from scaleup_surface_layer.moving_cells import component_volumes, put_remainder, spread_cure
 from scaleup_surface_layer.sandpile import relax, slope_law
 from scaleup_surface_layer.turned_vessel import ColumnShape
 from scaleup_surface_layer.vessel_frame import VesselFrame
@@ -244,6 +245,21 @@ def test_segments_without_a_neighbour_are_balanced_too():
     assert segments.count == 1
     assert np.array_equal(through, [0.0, 3.0])
     assert np.abs(flux).max() == 0.0
+
+
+def test_a_million_cells_keep_their_volume_to_the_round_off_of_one():
+    """Shares of a remainder would be less than the round-off of each cell's fill."""
+    after = np.random.default_rng(3).uniform(0.2, 0.8, 1_000_000)
+    capacity, component = np.ones_like(after), np.zeros(len(after), dtype=np.int32)
+    before = after.copy()
+    before[7] += 3e-11
+    gain, room = component_volumes(component, 1, before, after, capacity)
+    assert gain[0] == pytest.approx(-3e-11, rel=1e-4)
+    spread_cure(component, gain / room, after, capacity)
+    gain, _ = component_volumes(component, 1, before, after, capacity)
+    assert abs(gain[0]) > 1e-11
+    put_remainder(component, gain, after, capacity)
+    assert abs(component_volumes(component, 1, before, after, capacity)[0][0]) < 1e-15
 
 
 def test_detectors_tell_what_is_wrong_and_when():
