@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import ngsolve as ngs
@@ -22,6 +23,9 @@ _MOST_SHIFT = 0.1
 _SPREAD = 1.0
 # Interface half widths by which the contour is carried on beyond the wall in redistancing.
 _CARRIED = 4
+
+
+SignedDistance = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 class LevelSet:
@@ -83,8 +87,12 @@ class LevelSet:
 
     def set_plane(self, bed_area: float, angle: float) -> None:
         """Bed of ``bed_area`` (m^2) with a plane surface inclined by ``angle`` (rad)."""
-        offset = surface_offset(self.mesh, bed_area, angle)
-        self._set_nodal(offset - self._nodes @ np.array(surface_normal(angle)))
+        offset, normal = surface_offset(self.mesh, bed_area, angle), surface_normal(angle)
+        self.set_surface(bed_area, lambda points: offset - points @ np.array(normal))
+
+    def set_surface(self, bed_area: float, distance: SignedDistance) -> None:
+        """Bed of ``bed_area`` (m^2) whose surface has this signed distance, shifted to hold it."""
+        self._set_nodal(distance(self._nodes))
         for _ in range(_SHIFTS):
             self.restore_area(bed_area)
 

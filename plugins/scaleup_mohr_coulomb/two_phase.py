@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from scaleup.api import Material
 
-from .level_set import LevelSet
+from .level_set import LevelSet, SignedDistance
 from .mesh import farthest_wall
 from .momentum import Momentum
 from .parameters import Discretisation, Drive, Rheology
@@ -31,11 +31,11 @@ class FlowDiverged(FloatingPointError):  # noqa: N818
 
 
 class TwoPhaseFlow:
-    """A powder bed that starts as a plane, rigidly rotating bed and is advanced by :meth:`step`.
+    """A powder bed that at first turns rigidly with the vessel, advanced by :meth:`step`.
 
-    Attributes: ``time`` (s since the bed was level and the vessel started), ``steps``,
-    ``velocity`` (VectorH1, order 2, m/s), ``pressure`` (H1, order 1, Pa, zero in the air) and
-    ``level_set`` (:class:`LevelSet`, m).
+    Attributes: ``time`` (s since the bed was level and the vessel started, or since it had the
+    surface given), ``steps``, ``velocity`` (VectorH1, order 2, m/s), ``pressure`` (H1, order 1,
+    Pa, zero in the air) and ``level_set`` (:class:`LevelSet`, m).
     """
 
     def __init__(
@@ -45,18 +45,27 @@ class TwoPhaseFlow:
         drive: Drive,
         discretisation: Discretisation,
         rheology: Rheology | None = None,
+        surface: SignedDistance | None = None,
+        rough: str = ".*",
     ) -> None:
+        """``surface`` (m, positive in powder) is the bed's at first, None for the drum's plane;
+        ``rough`` names the part of the wall with friction.
+        """
         self.mesh = mesh
         self.material = material
         self.drive = drive
         self.discretisation = discretisation
         self.radius = farthest_wall(mesh)
-        self.time = discretisation.start_angle / drive.angular_velocity
+        self.time = 0.0
         self.steps = 0
         self._area_gained = self._area_moved = 0.0
 
         self.level_set = LevelSet(mesh, discretisation.interface_half_width)
-        self.level_set.set_plane(drive.bed_area, discretisation.start_angle)
+        if surface is None:
+            self.time = discretisation.start_angle / drive.angular_velocity
+            self.level_set.set_plane(drive.bed_area, discretisation.start_angle)
+        else:
+            self.level_set.set_surface(drive.bed_area, surface)
         velocity_space = ngs.VectorH1(mesh, order=2)
         linear = ngs.H1(mesh, order=1)
         self._solution = ngs.GridFunction(velocity_space * linear)
@@ -91,6 +100,7 @@ class TwoPhaseFlow:
             self._step_length,
             gravity=ngs.CoefficientFunction((0.0, -drive.gravity)),
             wall_velocity=wall_velocity,
+            rough=rough,
         )
         self._mover = SolenoidalVelocity(0.5 * (self.velocity + previous), mesh)
         self._transport = ConservingTransport(self.level_set, self._mover, self._step_length)

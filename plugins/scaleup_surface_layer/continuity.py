@@ -9,7 +9,8 @@ with phi such that each segment gains what its fill does, and the fluxes along t
 from continuity, cell by cell. It is the weighted projection in the limit of no resistance along
 the segments: a thin layer is crossed by its surface's normal in a few cells, so that what is left
 to solve is as small as a problem on the surface. What the solver leaves over is sent down a
-spanning tree of segments, from the leaves to the root.
+spanning tree of segments, from the leaves to the root: in whole numbers of a quantum of flux, whose
+sums are exact, or the root would get the round-off of millions of faces.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ from scipy.sparse import csr_matrix
 from scaleup.api import FloatArray, IntArray, RunError, SymmetricSolver
 
 _SOLVED = 1e-8  # residual of the correction over what is to be corrected
+_QUANTUM = 2.0**-48  # over the greatest flux; sums up to 32 times that one are exact
 
 
 @dataclass(frozen=True)
 class Segments:
     """Segments of n cells, and the lateral faces between them.
 
-    segment -- of each cell; count -- number of segments
+    segment -- of each cell; count -- number of segments; component -- of each segment
     roots -- the first segment of each component
     face_row, face_cell -- which row of the flux and which cell each lateral face belongs to
     lower, upper -- segments below and above each face; lower_cell -- the cell below it
@@ -37,6 +39,7 @@ class Segments:
 
     segment: IntArray
     count: int
+    component: IntArray
     roots: IntArray
     face_row: IntArray
     face_cell: IntArray
@@ -54,13 +57,14 @@ def find_segments(
     beside -- the same for each lateral axis, (lateral axes, n)
     component -- of each cell: which cells hang together through these faces; components -- number
     """
-    segment, count, roots = _string(below, component, components)
-    return Segments(segment, count, roots, *_lateral_faces(segment, beside))
+    segment, of_segment, roots = _string(below, component, components)
+    return Segments(segment, len(of_segment), of_segment, roots, *_lateral_faces(segment, beside))
 
 
 @njit(cache=True)
 def _string(below, component, components):
     segment = np.empty(len(below), dtype=np.int32)
+    of_segment = np.empty(len(below), dtype=np.int32)
     roots = np.full(components, -1)
     count = 0
     for n in range(len(below)):
@@ -70,8 +74,9 @@ def _string(below, component, components):
         if roots[component[n]] < 0:
             roots[component[n]] = count
         segment[n] = count
+        of_segment[count] = component[n]
         count += 1
-    return segment, count, roots
+    return segment, of_segment[:count].copy(), roots
 
 
 @njit(cache=True)
@@ -111,9 +116,32 @@ def close_balance(
     demand = np.bincount(segments.segment, gain, segments.count)
     phi = _potential(segments, w, _shortfall(*ends, lateral, demand))
     lateral += w * (phi[segments.lower] - phi[segments.upper])
-    _down_the_tree(segments.count, *ends, lateral, _shortfall(*ends, lateral, demand))
+    greatest = max(np.abs(lateral).max(initial=0.0), np.abs(demand).max(initial=0.0))
+    if greatest > 0:
+        quantum = _QUANTUM * 2.0 ** np.ceil(np.log2(greatest))
+        lateral = quantum * np.rint(lateral / quantum)
+        demand = _rounded(demand, segments.component, len(segments.roots), quantum)
+        _down_the_tree(segments.count, *ends, lateral, _shortfall(*ends, lateral, demand))
     flux[faces] = lateral
     return _along(below, _need(segments.face_cell, segments.lower_cell, lateral, gain))
+
+
+@njit(cache=True)
+def _rounded(demand, component, components, quantum):
+    """Demands as multiples of the quantum that sum to zero in each component, as they should.
+
+    What rounding leaves is carried over to the next segment, by sums without round-off.
+    """
+    found = np.empty_like(demand)
+    carry = np.zeros(components)
+    for s in range(len(demand)):
+        c = component[s]
+        total = demand[s] + carry[c]
+        part = total - demand[s]
+        lost = (demand[s] - (total - part)) + (carry[c] - part)
+        found[s] = quantum * np.rint(total / quantum)
+        carry[c] = (total - found[s]) + lost
+    return found
 
 
 @njit(cache=True)

@@ -262,6 +262,26 @@ def test_a_million_cells_keep_their_volume_to_the_round_off_of_one():
     assert abs(component_volumes(component, 1, before, after, capacity)[0][0]) < 1e-15
 
 
+def test_a_balance_of_many_segments_closes_in_every_cell():
+    """90,000 cells in 900 segments of great fluxes: every cell closes to its own fluxes' digits."""
+    n, ids = 90_000, np.arange(90_000).reshape(30, 30, 100)
+    below = np.full((3, 30, 30, 100), -1, dtype=np.int32)
+    below[0, 1:], below[1, :, 1:], below[2, :, :, 1:] = ids[:-1], ids[:, :-1], ids[..., :-1]
+    below = below.reshape(3, n)
+    random = np.random.default_rng(1)
+    flux, gain = random.normal(size=(2, n)), 1e-3 * random.normal(size=n)
+    gain -= gain.mean()
+    gain[n // 2] -= math.fsum(gain)
+    segments = find_segments(below[2], below[:2], np.zeros(n, dtype=np.int32), 1)
+    along = close_balance(segments, below[2], flux, random.uniform(1e-3, 1, (2, n)), gain)
+    net = np.zeros(n)
+    for row, through in zip(below, (*flux, along), strict=True):
+        inner = row >= 0
+        np.add.at(net, np.flatnonzero(inner), through[inner])
+        np.subtract.at(net, row[inner], through[inner])
+    assert np.abs(net - gain).max() < 2e-14 * np.abs(flux).max()
+
+
 def test_detectors_tell_what_is_wrong_and_when():
     fast = general(Vee(radius=0.3), 24, 0.4, speed=2 * math.pi * 20 / 60, intervals=24)
     said = " ".join(fast.warnings)
