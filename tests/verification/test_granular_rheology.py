@@ -8,6 +8,7 @@ import pytest
 from ngsolve.meshes import MakeStructured2DMesh
 
 from bagnold import SURFACE_SPEED, bagnold_error
+from column import collapse, lube_run_out
 from scaleup.config import compose
 from scaleup.errors import InputError
 from scaleup.scene import Material
@@ -109,3 +110,22 @@ def test_bagnold_flow(dimension, layers):
     order = -np.polyfit(np.log(layers), np.log(errors), 1)[0]
     assert errors[-1] < 0.01
     assert order > 1.5
+
+
+def test_a_column_collapses_as_far_as_sand_does():
+    """As wide as high, on a coarse mesh: run-out, height and time of Lube et al. and Lajeunesse."""
+    deposit = collapse(1.0, elements=8)
+    assert deposit.run_out == pytest.approx(lube_run_out(1.0), rel=0.15)
+    assert 0.75 < deposit.height < 1.0
+    assert 2.5 < deposit.rest < 5.0
+    assert deposit.volume_drift < 1e-4
+
+
+@pytest.mark.slow
+def test_run_out_grows_as_the_scaling_laws_say():
+    """As a for low columns, and more slowly for high ones; heights slower than columns."""
+    low, middle, high = (collapse(a, elements=8) for a in (1.0, 2.0, 4.0))
+    assert middle.run_out == pytest.approx(lube_run_out(2.0), rel=0.2)
+    assert high.run_out == pytest.approx(lube_run_out(4.0), rel=0.25)
+    power = math.log2(high.height / low.height) / 2
+    assert power == pytest.approx(1 / 3, abs=0.15)  # of Lajeunesse et al.
