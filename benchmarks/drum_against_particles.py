@@ -1,15 +1,16 @@
 """The paper's drum with 2 mm grains, by each rheology, beside a particle simulation of it.
 
-Surface angle, active layer, surface speed and the streamwise velocity at mid-bed, for the three
-rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults), and
-for constant friction with half and twice the filter length and the predictor length. Nothing is
+Surface angle and shape, active layer, surface speed and the streamwise velocity at mid-bed, for the
+three rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults),
+and for constant friction with half and twice the filter length and the predictor length. Nothing is
 fitted. Results are kept in a JSON file, so that the study goes on where it stopped; one solve takes
 some minutes.
 
     python benchmarks/drum_against_particles.py --reference reference.json [--output DIR] [CASE ...]
 
 The reference holds, under "run_B": "midbed_profile" with "depth_m" and "v_streamwise_m_per_s", and
-"surface" with "dynamic_angle_of_repose_deg" and "angle_vs_time" with "time_s" and "angle_deg".
+"surface" with "dynamic_angle_of_repose_deg", "x_m", "y_m" and "angle_vs_time" with "time_s" and
+"angle_deg".
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from scaleup.api import Scene
 from scaleup.config import compose, fill_volume
@@ -59,6 +61,7 @@ def solve(name: str, changes: tuple[str, ...]) -> dict[str, Any]:
     memory = Store().memory_of(type(flow), type(scene.geometry))
     bed = steady_bed(scene, flow.options, lambda share, text: print(f"{name}: {text}"), memory)
     middle = mid_bed(bed)
+    start, end = bed.level_set.contour()
     return {
         "angle_deg": float(np.degrees(bed.angle)),
         "angle_error_deg": float(np.degrees(bed.angle_error)),
@@ -67,7 +70,9 @@ def solve(name: str, changes: tuple[str, ...]) -> dict[str, Any]:
         "surface_speed": float(surface_speed(bed)[1].max()),
         "flux_balance": middle.downflow / middle.upflow,
         "volume": bed.area_correction,
+        "rotation": middle.rotation_ratio,
         "seconds": bed.seconds,
+        "surface": (0.5 * (start + end)).tolist(),
         "depth": middle.depth.tolist(),
         "speed": middle.speed.tolist(),
         "times": bed.times.tolist(),
@@ -87,6 +92,25 @@ def profile_error(result: dict[str, Any], reference: dict[str, Any]) -> float:
     return float(np.sqrt(((ours - speed[there]) ** 2).mean()) / np.ptp(speed[there]))
 
 
+def levelled(points: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position along a surface turned level by its ``angle`` (rad), ascending, and height, m."""
+    along, up = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ points
+    order = np.argsort(along)
+    return along[order], up[order]
+
+
+def shape_errors(result: dict[str, Any], reference: dict[str, Any]) -> tuple[float, float]:
+    """Greatest and root mean square distance of the surfaces, each turned level, m."""
+    surface = reference["surface"]
+    theirs = levelled(
+        np.array([surface["x_m"], surface["y_m"]]),
+        np.radians(surface["dynamic_angle_of_repose_deg"]),
+    )
+    ours = levelled(np.array(result["surface"]).T, np.radians(result["angle_deg"]))
+    gap = np.interp(theirs[0], *ours) - theirs[1]
+    return float(np.abs(gap).max()), float(np.sqrt((gap**2).mean()))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--reference", type=Path, required=True)
@@ -101,15 +125,23 @@ def main() -> None:
         if name not in results:
             results[name] = solve(name, CASES[name])
             store.write_text(json.dumps(results))
-    print("| case | angle, deg | layer, mm | surface speed, m/s | profile rms | down/up | volume |")
-    print("|---|---|---|---|---|---|---|")
+    print(
+        "| case | angle, deg | layer, mm | surface speed, m/s | profile rms | shape: most, rms, mm "
+        "| down/up | bed/wall | first peak, trough, deg | volume | s |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
     figure, (profiles, angles) = plt.subplots(1, 2, figsize=(10, 4))
     for name, result in results.items():
+        most, rms = shape_errors(result, reference)
+        early = np.array(result["angles_deg"])[np.array(result["times"]) < 2.0]
+        peak = int(early.argmax())
         print(
             f"| {name} | {result['angle_deg']:.2f} +- {result['angle_error_deg']:.2f} "
             f"| {1e3 * result['layer_m']:.1f} | {result['surface_speed']:.3f} "
-            f"| {100 * profile_error(result, reference):.1f} % | {result['flux_balance']:.3f} "
-            f"| {100 * result['volume']:.2f} % |"
+            f"| {100 * profile_error(result, reference):.1f} % | {1e3 * most:.1f}, {1e3 * rms:.1f} "
+            f"| {result['flux_balance']:.3f} | {result['rotation']:.3f} "
+            f"| {early[peak]:.1f}, {early[peak:].min():.1f} "
+            f"| {100 * result['volume']:.4f} % | {result['seconds']:.0f} |"
         )
         profiles.plot(1e3 * np.array(result["depth"]), result["speed"], label=name)
         angles.plot(result["times"], result["angles_deg"], label=name)
@@ -120,7 +152,9 @@ def main() -> None:
     profiles.set(xlim=(0, 30), xlabel="depth at mid-bed, mm", ylabel="streamwise speed, m/s")
     angles.set(xlim=(0.4, 5), ylim=(15, 35), xlabel="time, s", ylabel="surface angle, deg")
     profiles.legend(fontsize="small")
-    figure.tight_layout()
+    for axes in (profiles, angles):
+        axes.xaxis.set_major_locator(MaxNLocator(6))
+    figure.tight_layout(w_pad=3)
     figure.savefig(asked.output / "drum-against-particles.png", dpi=120)
 
 

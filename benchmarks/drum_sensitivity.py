@@ -67,6 +67,7 @@ CASES = {
     "eps x 1/4": factor("creep_rate", 0.25),
     "eps x 4": factor("creep_rate", 4.0),
     "eps x 16": factor("creep_rate", 16.0),
+    "eps x 64": factor("creep_rate", 64.0),
     "slip speed x 1/4": factor("slip_speed", 0.25),
     "slip speed x 4": factor("slip_speed", 4.0),
     "filter x 1/2, h = 2.0 mm": Case(fine_size=2.0e-3, filter_length=0.5 * L),
