@@ -4,7 +4,9 @@
 start-up and the first revolution (whose paths are searched for) and those that come back; cost is
 core seconds per 10^6 cells and revolution. 10^9 cells on 256 ranks are extrapolated from the
 finest mesh and the power of the cells that the meshes show (at least 1), as if all of it scaled
-with the ranks, which it does not: moving cells and settling are the same on every rank.
+with the ranks, which it does not: moving cells and settling are the same on every rank. Beyond
+3 10^6 cells only the beginning of a revolution is run, with few carriages kept, so that it fits
+into 23 GB.
 
     python benchmarks/vessel_costs.py [--output DIR] [--cells N ...] [--ranks R ...]
 """
@@ -32,6 +34,7 @@ RANKS = (1, 2)
 PREFIX = 0.25  # revolutions before the flow repeats
 BUILT = 1.0 + PREFIX
 LAST = BUILT + 0.5
+BIG, BIG_REVOLUTIONS, BIG_STEP, BIG_MEMORY = 3_000_000, 0.15, 0.05, 0.25  # cells, rev, rev, GB
 PARTS = {"flow": "flow, once", "built": "mixing, first time round", "kept": "mixing, again"}
 
 
@@ -44,7 +47,11 @@ def measure(cells: int) -> dict[str, Any] | None:
     from scaleup.flow_source import obtain_flow
 
     comm = parallel.start()
-    asked = [f"grid.cells={cells}", f"operation.revolutions={LAST}", "output.metrics_every=0.125"]
+    big = cells > BIG
+    revolutions, every = (BIG_REVOLUTIONS, BIG_STEP) if big else (LAST, 0.125)
+    asked = [f"grid.cells={cells}", f"operation.revolutions={revolutions}"]
+    asked += [f"output.metrics_every={every}", "flow.intervals=120"]
+    asked += [f"mixing.memory={BIG_MEMORY}"] if big else []
     config = compose(None, ["geometry.name=v-blender", *asked])
     began = time.monotonic()
     flow = obtain_flow(config, comm).flow
@@ -55,13 +62,17 @@ def measure(cells: int) -> dict[str, Any] | None:
         return None
     at = dict(zip(blend.revolutions, blend.elapsed, strict=True))
     first = blend.elapsed[0]
+    if big:
+        built, kept = (blend.elapsed[-1] - blend.elapsed[-2]) / BIG_STEP, None
+    else:
+        built, kept = (at[BUILT] - first) / BUILT, (at[LAST] - at[BUILT]) / (LAST - BUILT)
     return {
         "ranks": comm.size,
         "cells": len(flow.intervals[0].cells),
         "intervals": len(flow.intervals) - flow.prefix,
         "flow": flow_seconds,
-        "built": (at[BUILT] - first) / BUILT,
-        "kept": (at[LAST] - at[BUILT]) / (LAST - BUILT),
+        "built": built,
+        "kept": kept,
         "memory": memory,
     }
 
@@ -89,9 +100,10 @@ def table(rows: list[dict[str, Any]]) -> str:
     ]
     for r in rows:
         each = r["ranks"] * 1e6 / r["cells"]
+        kept = ("", "") if r["kept"] is None else (f"{r['kept']:.1f}", f"{r['kept'] * each:.0f}")
         lines.append(
             f"| {r['cells']:,} | {r['ranks']} | {r['flow']:.0f} | {r['built']:.0f} "
-            f"| {r['kept']:.1f} | {r['built'] * each:.0f} | {r['kept'] * each:.0f} "
+            f"| {kept[0]} | {r['built'] * each:.0f} | {kept[1]} "
             f"| {r['memory'] / r['cells'] / 1e3:.1f} |"
         )
     return "\n".join(lines)
@@ -100,7 +112,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 def extrapolation(rows: list[dict[str, Any]], cells: float = 1e9, ranks: int = 256) -> str:
     """From the finest mesh of the most ranks by the fitted power of the cells, if ranks scaled."""
     most = max(r["ranks"] for r in rows)
-    of_most = [r for r in rows if r["ranks"] == most]
+    of_most = [r for r in rows if r["ranks"] == most and r["kept"] is not None]
     finest = max(of_most, key=lambda r: r["cells"])
     lines = []
     for part, label in PARTS.items():
@@ -119,7 +131,8 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     styles = {1: ":", 2: "-", 4: "--"}
     for number, (part, label) in enumerate(PARTS.items()):
         for ranks in sorted({r["ranks"] for r in rows}):
-            chosen = sorted((r for r in rows if r["ranks"] == ranks), key=lambda r: r["cells"])
+            measured = [r for r in rows if r["ranks"] == ranks and r[part] is not None]
+            chosen = sorted(measured, key=lambda r: r["cells"])
             cost.loglog(
                 [r["cells"] for r in chosen],
                 [r[part] for r in chosen],
