@@ -8,8 +8,8 @@ A column of width d0 and height h0 = a d0 beside a smooth wall is let go. In cha
 Lajeunesse et al. (2005, Phys. Fluids 17, 103302): run-out as a up to 3 and as a^(2/3) beyond, with
 factors that depend on the grains; height as a up to 0.7 and as a^(1/3) beyond.
 
-The run-out is taken where the deposit is d0/20 thick, a few grains: the film before it is thinner
-than an element.
+The run-out is taken where the deposit is d0/20 thick, a few grains: of a low column the film before
+it, which rides on air that the front has overrun, is thinner.
 """
 
 import math
