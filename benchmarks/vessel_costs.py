@@ -5,7 +5,7 @@ start-up and the first revolution (whose paths are searched for) and those that 
 core seconds per 10^6 cells and revolution. 10^9 cells on 256 ranks are extrapolated from the
 finest mesh and the power of the cells that the meshes show (at least 1), as if all of it scaled
 with the ranks, which it does not: moving cells and settling are the same on every rank. Beyond
-3 10^6 cells only the beginning of a revolution is run, with few carriages kept, so that it fits
+2 10^6 cells only the beginning of a revolution is run, with few carriages kept, so that it fits
 into 23 GB.
 
     python benchmarks/vessel_costs.py [--output DIR] [--cells N ...] [--ranks R ...]
@@ -34,7 +34,7 @@ RANKS = (1, 2)
 PREFIX = 0.25  # revolutions before the flow repeats
 BUILT = 1.0 + PREFIX
 LAST = BUILT + 0.5
-BIG, BIG_REVOLUTIONS, BIG_STEP, BIG_MEMORY = 3_000_000, 0.15, 0.05, 0.25  # cells, rev, rev, GB
+BIG, BIG_REVOLUTIONS, BIG_STEP, BIG_MEMORY = 2_000_000, 0.15, 0.05, 0.25  # cells, rev, rev, GB
 PARTS = {"flow": "flow, once", "built": "mixing, first time round", "kept": "mixing, again"}
 
 
