@@ -25,7 +25,6 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from scaleup.api import Scene
 from scaleup.config import compose, fill_volume
@@ -153,7 +152,7 @@ def main() -> None:
     angles.set(xlim=(0.4, 5), ylim=(15, 35), xlabel="time, s", ylabel="surface angle, deg")
     profiles.legend(fontsize="small")
     for axes in (profiles, angles):
-        axes.xaxis.set_major_locator(MaxNLocator(6))
+        axes.locator_params(axis="x", nbins=6)
     figure.tight_layout(w_pad=3)
     figure.savefig(asked.output / "drum-against-particles.png", dpi=120)
 

@@ -116,6 +116,7 @@ def velocity_profiles(path: Path, grid: Grid, velocity: FloatArray, angle: float
     right.axvline(0, color="0.7", lw=0.8)
     right.invert_yaxis()
     right.set(xlabel="streamwise velocity at mid-bed, m/s", ylabel="depth, mm")
+    right.locator_params(axis="x", nbins=6)
     save(figure, path)
 
 
