@@ -101,13 +101,14 @@ def solve(name: str, case: Case) -> dict[str, Any]:
     config = compose(None, [f"material.{key}={value}" for key, value in case.material.items()])
     geometry, material = config.plugin("geometry"), config.material
     drive = Drive(fill_volume(config) / geometry.depth, case.rpm * math.pi / 30)
-    rules = Discretisation.by_rule(
-        material, drive, RADIUS, case.fine_size, None, None, case.filter_length
-    )
+
+    def by_rule(time_step: float | None = None) -> Discretisation:
+        sizes = {"fine_size": case.fine_size, "filter_length": case.filter_length}
+        return Discretisation.by_rule(material, drive, RADIUS, time_step=time_step, **sizes)
+
+    rules = by_rule()
     changed = {key: value * getattr(rules, key) for key, value in case.factors.items()}
-    if "time_step" in changed:
-        changed["predictor_threshold"] = changed["time_step"] / math.sqrt(RADIUS / drive.gravity)
-    numerics = dataclasses.replace(rules, **changed)
+    numerics = dataclasses.replace(by_rule(changed.get("time_step")), **changed)
     mesh = cross_section_mesh(
         geometry.solid(),
         numerics.coarse_size,

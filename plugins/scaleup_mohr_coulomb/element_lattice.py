@@ -22,7 +22,7 @@ class ElementLattice:
 
     def __init__(self, mesh: Any, nodes: NDArray[Any], elements: NDArray[Any]) -> None:
         """``nodes`` (n_nodes, 2) in m, ``elements`` (n_elements, 6) their numbers."""
-        self._mesh, self._elements = mesh, elements
+        self._elements = elements
         self._barycentric, self._shapes, self.triangles, self._rim = _quadratic_lattice(
             _SUBDIVISIONS
         )
