@@ -20,6 +20,7 @@ NGSolve leaves the first rank of a distributed mesh without elements: N ranks sh
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from typing import Any
 
 import ngsolve as ngs
@@ -63,13 +64,13 @@ class Numbering:
             mine = block * nodes + self.owned_nodes
             ids[mine] = blocks * (first + np.arange(len(self.owned_nodes))) + block
         self._exchange = ngs.GridFunction(space).vec
-        self.ids = self._completed(ids).astype(np.int32)
+        self.ids = self.completed(ids).astype(np.int32)
         # this rank's part of a PETSc vector, as places in NGSolve's
         self.places = (self.owned_nodes[:, None] + nodes * np.arange(blocks)).ravel()
 
-    def _completed(self, owned_values: NDArray[Any]) -> NDArray[Any]:
-        """Values of all local unknowns, from those of the owned ones (zero elsewhere)."""
-        self._exchange.FV().NumPy()[:] = owned_values
+    def completed(self, shares: NDArray[Any]) -> NDArray[Any]:
+        """Values of all local unknowns, from what each rank adds to them."""
+        self._exchange.FV().NumPy()[:] = shares
         self._exchange.SetParallelStatus(ngs.la.PARALLEL_STATUS.DISTRIBUTED)
         self._exchange.Cumulate()
         values: NDArray[Any] = self._exchange.FV().NumPy().copy()
@@ -79,7 +80,7 @@ class Numbering:
         """Values of all local unknowns in NGSolve's order, from this rank's part of PETSc's."""
         owned = np.zeros(len(self.ids))
         owned[self.places] = values
-        return self._completed(owned)
+        return self.completed(owned)
 
     def owned(self, values: NDArray[Any]) -> NDArray[Any]:
         """The part of PETSc's vector that is held here, from values equal on all ranks."""
@@ -87,16 +88,28 @@ class Numbering:
         return part
 
 
+# Values, columns and row starts of the part of a matrix that this rank adds to.
+Share = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+
+
 class AssembledBlock:
-    """A PETSc matrix that follows some rows and columns of a form's matrix, which changes."""
+    """A PETSc matrix that follows some rows and columns of a matrix in ranks' shares.
+
+    Their pattern is that of the first ``share`` for good.
+    """
 
     def __init__(
-        self, form: Any, rows: Numbering, columns: Numbering, row0: int = 0, column0: int = 0
+        self,
+        share: Callable[[], Share],
+        rows: Numbering,
+        columns: Numbering,
+        row0: int = 0,
+        column0: int = 0,
     ) -> None:
         from petsc4py import PETSc
 
-        self._form = form
-        _, column, starts = _csr(form)
+        self._share = share
+        _, column, starts = share()
         row = np.repeat(np.arange(len(starts) - 1), np.diff(starts)) - row0
         column = column - column0
         inside = (row >= 0) & (row < len(rows.ids)) & (column >= 0) & (column < len(columns.ids))
@@ -117,7 +130,7 @@ class AssembledBlock:
 
     def update(self, factor: float = 1.0) -> None:
         """Take over the entries as they stand, times a factor; ranks' shares are summed."""
-        values, _, _ = _csr(self._form)
+        values, _, _ = self._share()
         self.matrix.zeroEntries()
         self.matrix.setValuesIJV(
             self._starts, self._columns, factor * values[self._inside], addv=True, rowmap=self._rows
@@ -125,37 +138,58 @@ class AssembledBlock:
         self.matrix.assemble()
 
 
-class PositiveSolver:
-    """Conjugate gradients for a symmetric, positive definite form.
+class PositiveSystem:
+    """Conjugate gradients for a symmetric, positive definite matrix in ranks' shares.
 
-    The default preconditioner (ILU(0) on each rank) is for forms near a mass matrix.
+    The default preconditioner (ILU(0) on each rank) is for matrices near a mass matrix.
     """
 
-    def __init__(self, form: Any, preconditioner: str = "bjacobi") -> None:
-        self._form, self._block = form, None
-        self._preconditioner = preconditioner
-        self._numbering: Numbering | None = None
+    def __init__(
+        self, share: Callable[[], Share], numbering: Numbering, preconditioner: str = "bjacobi"
+    ) -> None:
+        self._numbering = numbering
+        self._block = AssembledBlock(share, numbering, numbering)
+        self._block.update()
+        self._ksp = _solver(self._block.matrix, preconditioner, "cg")
+        # the start may be that of a load many times larger
+        self._ksp.setTolerances(rtol=_POSITIVE_RESIDUAL, divtol=1e30, max_it=1000)
+        self._ksp.setInitialGuessNonzero(True)
+        self._right, self._left = self._block.matrix.createVecs()
 
     def update(self) -> None:
         """Follow the matrix as it stands."""
-        if self._block is None:
-            self._numbering = Numbering(self._form.space)
-            self._block = AssembledBlock(self._form, self._numbering, self._numbering)
-            self._block.update()
-            self._ksp = _solver(self._block.matrix, self._preconditioner, "cg")
-            self._ksp.setTolerances(rtol=_POSITIVE_RESIDUAL, max_it=1000)
-            self._ksp.setInitialGuessNonzero(True)
-            self._right, self._left = self._block.matrix.createVecs()
         self._block.update()
+
+    def solve(self, load: NDArray[Any], start: NDArray[Any]) -> NDArray[Any]:
+        """Values of all local unknowns; the ``load`` is complete, iteration begins at ``start``."""
+        self._left.setArray(self._numbering.owned(load))
+        self._right.setArray(self._numbering.owned(start))
+        self._ksp.solve(self._left, self._right)
+        _require_converged(self._ksp, "a filter, a projection or the level set")
+        return self._numbering.to_local(self._right.getArray())
+
+
+class PositiveSolver:
+    """:class:`PositiveSystem` of a form, for NGSolve's vectors."""
+
+    def __init__(self, form: Any, preconditioner: str = "bjacobi") -> None:
+        self._form, self._preconditioner = form, preconditioner
+        self._system: PositiveSystem | None = None
+
+    def update(self) -> None:
+        """Follow the form's matrix as it stands."""
+        if self._system is None:
+            numbering = Numbering(self._form.space)
+            self._system = PositiveSystem(lambda: _csr(self._form), numbering, self._preconditioner)
+        else:
+            self._system.update()
 
     def solve(self, load: Any, solution: Any) -> None:
         """Solution of matrix * solution = load (NGSolve vectors); begins at the solution given."""
+        assert self._system is not None
         load.Cumulate()
-        self._left.setArray(self._numbering.owned(load.FV().NumPy()))
-        self._right.setArray(self._numbering.owned(solution.FV().NumPy()))
-        self._ksp.solve(self._left, self._right)
-        _require_converged(self._ksp, "a filter, a projection or the level set")
-        solution.FV().NumPy()[:] = self._numbering.to_local(self._right.getArray())
+        values = solution.FV().NumPy()
+        values[:] = self._system.solve(load.FV().NumPy(), values)
 
 
 class BlockSolver:
@@ -188,15 +222,19 @@ class BlockSolver:
         self._u = u = Numbering(velocity_space, self._form.space.mesh.dim)
         self._p = p = Numbering(pressure_space)
         n = self._n_velocity
+
+        def whole() -> Share:
+            return _csr(self._form)
+
         self._blocks = [
-            AssembledBlock(self._form, u, u),
-            AssembledBlock(self._form, u, p, 0, n),
-            AssembledBlock(self._form, p, u, n, 0),
-            AssembledBlock(self._form, p, p, n, n),
+            AssembledBlock(whole, u, u),
+            AssembledBlock(whole, u, p, 0, n),
+            AssembledBlock(whole, p, u, n, 0),
+            AssembledBlock(whole, p, p, n, n),
         ]
         self._schur_blocks = [
-            AssembledBlock(self._mass, p, p),
-            AssembledBlock(self._laplacian, p, p),
+            AssembledBlock(lambda: _csr(self._mass), p, p),
+            AssembledBlock(lambda: _csr(self._laplacian), p, p),
         ]
 
     def _prepare(self) -> None:
@@ -284,8 +322,8 @@ def petsc_communicator(mesh: Any) -> Any:
     return mesh.comm.mpi4py if mesh.comm.size > 1 else MPI.COMM_SELF
 
 
-def _csr(form: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Values, columns and row starts of the part of a form's matrix that this rank assembles."""
+def _csr(form: Any) -> Share:
+    """Of a form's matrix."""
     matrix = form.mat.local_mat if form.space.mesh.comm.size > 1 else form.mat
     values, columns, starts = matrix.CSR()
     return np.asarray(values), np.asarray(columns), np.asarray(starts).astype(np.int64)

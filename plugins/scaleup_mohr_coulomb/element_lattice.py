@@ -55,7 +55,7 @@ class ElementLattice:
         inside = values > 0.0
         found = np.where(inside[:, 0], self._whole[elements], 0.0)
         cut = inside.any(axis=1) & ~inside.all(axis=1)
-        share = _inside_triangle(values[cut][:, self.triangles])
+        share = inside_triangle(values[cut][:, self.triangles])
         found[cut] = (self._areas[elements][cut] * share).sum(axis=1)
         return found
 
@@ -119,7 +119,7 @@ def _quadratic_lattice(
     return np.column_stack((a, b, c)), shapes, np.array(triangles), np.array(rim)
 
 
-def _inside_triangle(values: NDArray[Any]) -> NDArray[Any]:
+def inside_triangle(values: NDArray[Any]) -> NDArray[Any]:
     """Part of each triangle where the linear function of corner ``values`` (..., 3) is positive."""
     low, middle, high = np.moveaxis(np.sort(values, axis=-1), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):

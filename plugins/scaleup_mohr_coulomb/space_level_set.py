@@ -12,11 +12,18 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .level_set import powder_fraction
+from .space_shifts import SpaceShifts
 
 _NEIGHBOURS = 12
 _SHIFTS = 6
-_EDGES = tuple(combinations(range(4), 2))
-# the eight tetrahedra between a tetrahedron's corners 0-3 and the middles 4-9 of its _EDGES
+# Sweeps that give elements the volume they should hold, each limited to this part of the
+# interface's half width, and smoothed over so many half widths.
+_SWEEPS = 2
+_MOST_SHIFT = 0.2
+_SPREAD = 1.0
+_LITTLE = 1e-3
+EDGES = tuple(combinations(range(4), 2))
+# the eight tetrahedra between a tetrahedron's corners 0-3 and the middles 4-9 of its EDGES
 _PARTS = np.array(
     [
         (0, 4, 5, 6),
@@ -29,6 +36,8 @@ _PARTS = np.array(
         (4, 9, 7, 5),
     ]
 )
+# barycentric coordinates of a tetrahedron's corners and middles
+_BARYCENTRIC = np.concatenate([np.eye(4), [0.5 * (np.eye(4)[a] + np.eye(4)[b]) for a, b in EDGES]])
 
 
 class SpaceLevelSet:
@@ -36,7 +45,9 @@ class SpaceLevelSet:
 
     ``field`` is the finite-element function, ``fraction`` the smoothed powder fraction of
     `level_set.powder_fraction`.  Surface and volume are those of the linear interpolant on the
-    eight parts of every tetrahedron.  All methods are collective.
+    eight parts of every tetrahedron.  ``elements`` (n, 10) are the numbers of corners and middles
+    of edges, whose places are ``nodes`` (n_nodes, 3), m; both are this rank's.  Most methods are
+    collective.
     """
 
     def __init__(
@@ -53,28 +64,29 @@ class SpaceLevelSet:
         self.fraction = powder_fraction(self.field, half_width)
         pairs = [[v.nr for v in edge.vertices] for edge in mesh.edges]
         self._edges = np.array(pairs, dtype=int).reshape(-1, 2)
-        self._elements = self._element_nodes()
+        self.elements = self._element_nodes()
         coordinate = ngs.GridFunction(self.space)
         columns = []
         for component in (ngs.x, ngs.y, ngs.z):
             coordinate.Set(component)
             columns.append(self.nodal(coordinate.vec.FV().NumPy()))
-        self._nodes = np.column_stack(columns)
-        self._corners = self._elements[:, _PARTS]
+        self.nodes = np.column_stack(columns)
+        self._corners = self.elements[:, _PARTS]
         self._volumes = self._part_volumes()
+        self._shifts = SpaceShifts(mesh, self.elements[:, :4], _SPREAD * half_width)
 
     def _element_nodes(self) -> NDArray[Any]:
-        """Node numbers (n_elements, 10): corners, then middles of the _EDGES."""
+        """Node numbers (n_elements, 10): corners, then middles of the EDGES."""
         nodes = []
         for element in self.mesh.Elements(ngs.VOL):
             corners = [v.nr for v in element.vertices]
             middle = {frozenset(self._edges[e.nr]): self.mesh.nv + e.nr for e in element.edges}
-            sides = (middle[frozenset((corners[a], corners[b]))] for a, b in _EDGES)
+            sides = (middle[frozenset((corners[a], corners[b]))] for a, b in EDGES)
             nodes.append([*corners, *sides])
         return np.array(nodes, dtype=int).reshape(-1, 10)
 
     def _part_volumes(self) -> NDArray[Any]:
-        corner = self._nodes[self._corners]
+        corner = self.nodes[self._corners]
         volumes = np.abs(np.linalg.det(corner[:, :, 1:] - corner[:, :, :1])) / 6.0
         curved = np.array(ngs.Integrate(1.0, self.mesh, element_wise=True))
         scaled: NDArray[Any] = volumes * (curved / volumes.sum(axis=1))[:, None]
@@ -95,7 +107,7 @@ class SpaceLevelSet:
 
     def set_level(self, height: float, volume: float) -> None:
         """A bed of ``volume`` (m^3) that lies level, y = ``height`` (m) being a first guess."""
-        self._set_nodal(height - self._nodes[:, 1])
+        self._set_nodal(height - self.nodes[:, 1])
         for _ in range(_SHIFTS):
             self.restore_volume(volume)
 
@@ -112,10 +124,42 @@ class SpaceLevelSet:
         here, there = (_inside_fraction(self._values(c)) for c in (None, coefficients))
         return 0.5 * float(self._comm.allreduce(float((self._volumes * abs(here - there)).sum())))
 
+    def element_volumes(self) -> NDArray[Any]:
+        """Volume (n_elements,) inside the surface, of this rank's elements, m^3."""
+        inside: NDArray[Any] = (self._volumes * _inside_fraction(self._values())).sum(axis=1)
+        return inside
+
     def volume(self) -> float:
         """Volume inside the surface, m^3."""
-        here = float((self._volumes * _inside_fraction(self._values())).sum())
-        return float(self._comm.allreduce(here))
+        return float(self._comm.allreduce(float(self.element_volumes().sum())))
+
+    def hold(self, volumes: NDArray[Any]) -> None:
+        """Shift vertices until elements hold these ``volumes`` (n_elements,), m^3.
+
+        Smoothed over the interface's half width: the sum is met to second order in the shifts.
+        """
+        most = _MOST_SHIFT * self._half_width
+        for _ in range(_SWEEPS):
+            missing = volumes - self.element_volumes()
+            shifts = self._shifts.shifts(missing, self._surface_weights())
+            self.field.vec.FV().NumPy()[: self.mesh.nv] += np.clip(shifts, -most, most)
+
+    def _surface_weights(self) -> NDArray[Any]:
+        """Integrals (n_elements, 4) of the corners' linear functions over the surface, m^2.
+
+        By differences of the volume, the level set being shifted by a little of each function.
+        """
+        shift = _LITTLE * self._half_width
+        values = self._values()
+        found = np.zeros((len(values), 4))
+        low, high = values.min(axis=(1, 2)), values.max(axis=(1, 2))
+        near = np.flatnonzero((low < shift) & (high > -shift))
+        for corner, weight in enumerate(_BARYCENTRIC[_PARTS].transpose(2, 0, 1)):
+            more, less = (
+                _inside_fraction(values[near] + sign * shift * weight) for sign in (0.5, -0.5)
+            )
+            found[near, corner] = (self._volumes[near] * (more - less)).sum(axis=1) / shift
+        return found
 
     def restore_volume(self, volume: float) -> float:
         """Shift the surface so that it holds ``volume`` (m^3); the volume that was missing."""
@@ -134,7 +178,7 @@ class SpaceLevelSet:
         def crossing(rows: NDArray[Any], a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
             near, far = values[rows, a], values[rows, b]
             weight = (near / (near - far))[:, None]
-            first, last = self._nodes[corners[rows, a]], self._nodes[corners[rows, b]]
+            first, last = self.nodes[corners[rows, a]], self.nodes[corners[rows, b]]
             point: NDArray[Any] = (1.0 - weight) * first + weight * last
             return point
 
@@ -158,20 +202,25 @@ class SpaceLevelSet:
         return kept
 
     def redistance(self) -> None:
-        """Make phi the signed distance to its own zero surface again."""
+        """Make phi the signed distance to its own zero surface again.
+
+        Then vertices are shifted until the elements about each hold the volume that they held.
+        """
+        held = self.element_volumes()
         distance, _ = self._distances(self.surface())
         self._set_nodal(np.copysign(distance, self.nodal(self.field.vec.FV().NumPy())))
+        self.hold(held)
 
     def _distances(self, triangles: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Distance (m) of every node from the nearest of triangles, and its number."""
         centres = triangles.mean(axis=1)
         count = min(_NEIGHBOURS, len(centres))
-        _, candidates = cKDTree(centres).query(self._nodes, k=count)
-        distance = np.full(len(self._nodes), np.inf)
-        nearest = np.zeros(len(self._nodes), dtype=int)
-        for candidate in candidates.reshape(len(self._nodes), count).T:
-            point = _closest_points(self._nodes, triangles[candidate])
-            away = np.linalg.norm(self._nodes - point, axis=1)
+        _, candidates = cKDTree(centres).query(self.nodes, k=count)
+        distance = np.full(len(self.nodes), np.inf)
+        nearest = np.zeros(len(self.nodes), dtype=int)
+        for candidate in candidates.reshape(len(self.nodes), count).T:
+            point = _closest_points(self.nodes, triangles[candidate])
+            away = np.linalg.norm(self.nodes - point, axis=1)
             nearer = away < distance
             distance[nearer], nearest[nearer] = away[nearer], candidate[nearer]
         return distance, nearest
@@ -180,24 +229,21 @@ class SpaceLevelSet:
 def _inside_fraction(values: NDArray[Any]) -> NDArray[Any]:
     """Part of each tetrahedron where the linear function of corner ``values`` (..., 4) is positive.
 
-    The sum over positive corners i of f_i^3 / prod_(j != i) (f_i - f_j); equal values are set apart
-    by 1e-6 of their range, which changes the part by as little.
+    The sum over positive corners i of f_i^3 / prod_(j != i) (f_i - f_j): with one of them as it
+    stands, with three as one less that of the negative corner, with two (p, q) and r, s negative as
+
+        [p^2 q^2 - p q (r + s)(p + q) + r s (p^2 + p q + q^2)] / [(p-r)(p-s)(q-r)(q-s)],
+
+    where all terms have one sign.
     """
-    scale = np.abs(values).max(axis=-1, keepdims=True) + 1e-300
-    apart = values + 1e-6 * scale * np.array([0.0, 0.37, -0.61, 1.0])
-    total = np.zeros(values.shape[:-1])
-    for i in range(4):
-        own = apart[..., i]
-        product = np.ones(values.shape[:-1])
-        for j in range(4):
-            if j != i:
-                product = product * (own - apart[..., j])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            total += np.where(own > 0.0, own**3 / product, 0.0)
-    inside = (values > 0.0).all(axis=-1)
-    outside = (values <= 0.0).all(axis=-1)
-    bounded = np.clip(np.nan_to_num(total, nan=0.5), 0.0, 1.0)
-    return np.where(inside, 1.0, np.where(outside, 0.0, bounded))
+    s, r, q, p = np.moveaxis(np.sort(values, axis=-1), -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one = p**3 / ((p - q) * (p - r) * (p - s))
+        two = (p * q) ** 2 - p * q * (r + s) * (p + q) + r * s * (p * p + p * q + q * q)
+        two /= (p - r) * (p - s) * (q - r) * (q - s)
+        three = 1.0 + s**3 / ((r - s) * (q - s) * (p - s))
+    cut = np.where(q <= 0.0, one, np.where(r <= 0.0, two, three))
+    return np.where(s > 0.0, 1.0, np.where(p <= 0.0, 0.0, cut))
 
 
 def _areas(triangles: NDArray[Any]) -> NDArray[Any]:

@@ -23,10 +23,10 @@ from scaleup.api import Geometry, Material, level_height
 from .momentum import Momentum
 from .parameters import Discretisation, Rheology
 from .rheology import Strength
+from .space_exchange import ExchangingTransport
 from .space_level_set import SpaceLevelSet
 from .space_mesh import WALL
 from .space_velocity import LessDivergent
-from .surface_transport import Transport
 from .two_phase import FlowDiverged
 from .viscosity import Viscosity
 
@@ -115,7 +115,7 @@ class VesselFlow:
             rough=WALL if mirrored else ".*",
         )
         self._mover = LessDivergent(0.5 * (self.velocity + old), mesh)
-        self._transport = Transport(self.level_set, self._mover.field, self._step_length)
+        self._transport = ExchangingTransport(self.level_set, self._mover.field, self._step_length)
         deep = ngs.IfPos(-self.level_set.field - numerics.interface_half_width, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep, deep * self.pressure))
 
@@ -143,7 +143,9 @@ class VesselFlow:
         if air > 0.0:
             self.pressure.vec.FV().NumPy()[:] -= pressure / air
         self._mover.update()
-        self._transport.step()
+        middle = 0.5 * (self.velocity.vec.FV().NumPy() + self._previous.vec.FV().NumPy())
+        components = middle.reshape(3, -1)
+        self._transport.step(np.stack([self.level_set.nodal(c) for c in components], axis=1))
         if self.steps % self.numerics.redistance_every == 0:
             self.level_set.redistance()
         missing = self.level_set.restore_volume(self.volume)

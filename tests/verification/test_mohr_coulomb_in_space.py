@@ -16,6 +16,7 @@ from scaleup.scene import GRAVITY
 from scaleup.testing import check_flow
 from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
 from scaleup_mohr_coulomb.revolutions import Turned, level_bed
+from scaleup_mohr_coulomb.space_exchange import FaceFluxes
 from scaleup_mohr_coulomb.space_level_set import _inside_fraction
 from scaleup_mohr_coulomb.vessel_flow import VesselFlow
 from scaleup_mohr_coulomb.vessel_grid import periodic_flow
@@ -33,14 +34,17 @@ def drum():
 
 
 def test_the_part_of_a_tetrahedron_on_one_side_of_a_plane():
-    """Against a fine sum over barycentric coordinates, and the closed form of a corner cut off."""
+    """Against a fine sum over barycentric coordinates, and closed forms, equal values included."""
     rng = np.random.default_rng(1)
     points = rng.dirichlet(np.ones(4), 200_000)
     values = rng.normal(size=(20, 4))
     counted = (points @ values.T > 0).mean(axis=0)
     assert np.abs(_inside_fraction(values) - counted).max() < 6e-3
-    assert _inside_fraction(np.array([1.0, -1.0, -1.0, -1.0])) == pytest.approx(1 / 8, rel=1e-4)
-    assert _inside_fraction(np.array([1.0, 1.0, -1.0, -1.0])) == pytest.approx(1 / 2, rel=1e-4)
+    assert _inside_fraction(np.array([1.0, -1.0, -1.0, -1.0])) == pytest.approx(1 / 8, rel=1e-12)
+    assert _inside_fraction(np.array([1.0, 1.0, 1.0, -1.0])) == pytest.approx(7 / 8, rel=1e-12)
+    assert _inside_fraction(np.array([1.0, 1.0, -1.0, -1.0])) == pytest.approx(1 / 2, rel=1e-12)
+    assert _inside_fraction(np.array([0.0, 0.0, 1.0, 1.0])) == 1.0
+    assert _inside_fraction(np.array([0.0, 0.0, 0.0, -1.0])) == 0.0
 
 
 def test_the_surface_in_space_is_a_plane_that_redistancing_keeps(drum):
@@ -57,6 +61,27 @@ def test_the_surface_in_space_is_a_plane_that_redistancing_keeps(drum):
     error = level_set.field - (height - ngs.y)
     rms = math.sqrt(ngs.Integrate(error * error, drum.mesh) / ngs.Integrate(1.0, drum.mesh))
     assert rms < 2e-4  # of a vessel of 140 mm, surface and wall included
+
+
+def test_fluxes_through_faces_are_balanced_and_leave_a_rotation_nearly_alone(drum):
+    """Of any velocity: none remains in an element, none passes the wall, neighbours agree."""
+    level_set = drum.level_set
+    fluxes = FaceFluxes(level_set)
+    wild = np.random.default_rng(5).normal(size=level_set.nodes.shape)
+    x, y, _ = level_set.nodes.T
+    rotation = np.stack([-y, x, 0 * x], axis=1)
+    corners = np.sort(fluxes.nodes.reshape(-1, 3), axis=1)
+    _, quarter = np.unique(corners, axis=0, return_inverse=True)
+    inner = np.bincount(quarter.ravel()) == 2
+    for velocity, most in ((wild, math.inf), (rotation, 0.03)):
+        found = fluxes.of(velocity)
+        unit = np.abs(found).max()
+        assert np.abs(found.sum(axis=(1, 2))).max() < 1e-12 * unit
+        through = np.bincount(quarter.ravel(), found.ravel())
+        assert np.abs(through[inner]).max() < 1e-6 * unit
+        assert np.abs(through[~inner]).max() < 1e-6 * unit
+        asked = (velocity[fluxes.nodes].mean(axis=-2) * fluxes._normals).sum(axis=-1)
+        assert np.abs(found - asked).max() < most * unit
 
 
 def mean_speed(flow):
@@ -86,6 +111,7 @@ def test_a_bed_above_its_friction_angle_avalanches():
         flow.step(0.01)
     assert mean_speed(flow) > 2.8e-2
     assert math.degrees(flow.surface_angle()) < 37.0
+    assert flow.volume_moved < 1e-5  # by elements that exchange what they lose
 
 
 def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole():

@@ -1,0 +1,58 @@
+"""Shifts of a surface at the vertices that give tetrahedra the volume they lack."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import ngsolve as ngs
+import numpy as np
+from numpy.typing import NDArray
+
+from .block_solver import Numbering, PositiveSystem
+from .element_matrix import ElementMatrix
+
+# Missing volume, in cubes of the spread, that is none.
+_ROUND_OFF = 1e-12
+# Part of the square of the spread that ties vertices without surface to a number.
+_TIE = 1e-9
+
+
+class SpaceShifts:
+    """Finds shifts s (m), outwards, that give back what elements lack, smoothed over a length.
+
+    The equations of `vertex_shifts` in space: at each vertex v, over the elements T about it and
+    their other vertices w,
+
+        sum_T [ A_Tv s_v + spread^2/4 sum_w (s_v - s_w) ] = sum_T missing_T / 4,
+
+    with A_Tv the integral of the vertex' linear function over the surface in the element, m^2.
+    ``elements`` (n, 4) are vertices' local numbers.  Collective.
+    """
+
+    def __init__(self, mesh: Any, elements: NDArray[Any], spread: float) -> None:
+        self._elements, self._spread = elements, spread
+        self._numbering = Numbering(ngs.H1(mesh, order=1))
+        self._matrix = ElementMatrix(elements, mesh.nv)
+        self._system: PositiveSystem | None = None
+
+    def shifts(self, missing: NDArray[Any], areas: NDArray[Any]) -> NDArray[Any]:
+        """At all vertices (n_vertices,), m; ``missing`` (n,) in m^3, ``areas`` (n, 4) in m^2."""
+        tie = 0.25 * self._spread**2
+        wanting = (np.abs(missing) > _ROUND_OFF * self._spread**3) | areas.any(axis=1)
+        near = self._at_vertices(wanting)[self._elements].any(axis=1)
+        apart = self._at_vertices(near)[self._elements] == 0.0
+        blocks, corner = self._matrix.blocks, np.arange(4)
+        blocks[:] = np.where(near, -tie, 0.0)[:, None, None]
+        blocks[:, corner, corner] = np.where(near[:, None], areas + (3.0 + _TIE) * tie, tie * apart)
+        if self._system is None:
+            self._system = PositiveSystem(self._matrix.share, self._numbering)
+        else:
+            self._system.update()
+        wanted = self._at_vertices(np.where(near, 0.25 * missing, 0.0))
+        return self._system.solve(wanted, np.zeros(len(wanted)))
+
+    def _at_vertices(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Sums of elements' ``values`` about each vertex, whichever rank holds them."""
+        count = len(self._numbering.ids)
+        here = np.bincount(self._elements.ravel(), np.repeat(values, 4), count)
+        return self._numbering.completed(here)
