@@ -9,6 +9,7 @@ from mpi4py import MPI
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
 from scaleup.scene import Material
+from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.momentum import Momentum
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
 from scaleup_mohr_coulomb.rheology import Strength
@@ -32,7 +33,7 @@ def bagnold_error(
         mesh = MakeStructured2DMesh(
             quads=False, nx=2, ny=layers, **cells, mapping=lambda x, y: (2 * x, y)
         )
-        depth, down = 1.0 - ngs.y, (math.sin(SLOPE), -math.cos(SLOPE))
+        depth, down = 1.0 - ngs.y, np.array((math.sin(SLOPE), -math.cos(SLOPE)))
     else:
 
         def build():
@@ -46,7 +47,7 @@ def bagnold_error(
             ).ngmesh
 
         mesh = distributed(build, comm)
-        depth, down = 1.0 - ngs.z, (math.sin(SLOPE), 0.0, -math.cos(SLOPE))
+        depth, down = 1.0 - ngs.z, np.array((math.sin(SLOPE), 0.0, -math.cos(SLOPE)))
     material = Material(
         bulk_density=1.0,
         grain_density=1.0 + 1e-9,
@@ -70,8 +71,9 @@ def bagnold_error(
     velocity.Set(exact)
     pressure.Set(math.cos(SLOPE) * depth)
     powder, step = ngs.CoefficientFunction(1.0), ngs.Parameter(time_step)
+    shapes = ElementShapes(mesh)
     viscosity = Viscosity(
-        velocity, pressure, powder, Strength.of(material, LAW), 1.0, numerics, step, linear
+        velocity, pressure, powder, Strength.of(material, LAW), 1.0, numerics, step, linear, shapes
     )
     momentum = Momentum(
         solution,
@@ -81,8 +83,9 @@ def bagnold_error(
         material,
         numerics,
         step,
-        gravity=ngs.CoefficientFunction(down),
+        force=lambda points, velocity: down,
         wall_velocity=ngs.CoefficientFunction((0.0,) * dimension),
+        shapes=shapes,
         wall="bottom|top",
     )
     top = mesh.Boundaries("top")

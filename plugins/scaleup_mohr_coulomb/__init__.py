@@ -41,15 +41,15 @@ class MohrCoulomb:
         """Pa, tension that pulls cohesive powder apart; default (and at most) c cos(phi)/mu"""
 
         fine_size: units.Length | None = None
-        """m, element size about the free surface; default reach/24, or down to reach/36 to see the
-        filter length; in space that of all elements, default reach/6"""
+        """m, element size about the free surface; default 3 filter_length, from reach/36 to
+        reach/24; in space that of all elements, default reach/6"""
         coarse_size: units.Length | None = None
         """m, element size elsewhere; default reach/9; not in space"""
         time_step: units.Time | None = None
-        """s; default sqrt(reach/g)/20, in space sqrt(reach/g)/8"""
+        """s; default sqrt(reach/g)/14, in space sqrt(reach/g)/8"""
         filter_length: units.Length | None = None
-        """m, non-local length of shear rate and pressure; default d/sqrt(8), or reach/72 where that
-        is below reach/108; in space at least fine_size/3"""
+        """m, non-local length of shear rate and pressure; default d/sqrt(8), or reach/108 if
+        that is more; in space at least fine_size/3"""
         predictor_length: units.Length | None = None
         """m, over which stress beyond yield accelerates powder; default 0.07 reach"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824

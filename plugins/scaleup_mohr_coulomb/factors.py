@@ -8,7 +8,7 @@ import ngsolve as ngs
 
 
 class SymmetricFactors:
-    """L D L^T of a symmetric form's matrix; the order of elimination is found once.
+    """L D L^T of a symmetric NGSolve matrix; the order of elimination is found once.
 
     On one thread: NGSolve's factorisation starts as many as there are cores and lets them wait by
     spinning, which on matrices of a few thousand rows costs more than it gains (on two busy cores
@@ -17,15 +17,15 @@ class SymmetricFactors:
 
     iterations = 0
 
-    def __init__(self, form: Any) -> None:
+    def __init__(self, matrix: Any) -> None:
         ngs.SetNumThreads(1)
-        self._form = form
+        self._matrix = matrix
         self.inverse: Any = None
 
     def update(self) -> None:
         """Factorise the matrix as it stands."""
         if self.inverse is None:
-            self.inverse = self._form.mat.Inverse(inverse="sparsecholesky")
+            self.inverse = self._matrix.Inverse(inverse="sparsecholesky")
         else:
             self.inverse.Update()
 

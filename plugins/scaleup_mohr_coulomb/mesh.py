@@ -48,14 +48,16 @@ def cross_section_mesh(
     fine_size: float,
     bed_area: float,
     band_angle: float,
-    half_band: float,
+    band_depth: float,
+    band_height: float,
 ) -> Any:
     """Triangles of a cross-section, small in a band about the expected plane free surface.
 
     ``face`` is a netgen OCC face in the plane z = 0, in metres, with the axis of rotation at the
-    origin, e.g. ``Circle(Pnt(0, 0), R).Face()``.  Elements are ``fine_size`` within ``half_band``
-    of the plane at ``band_angle`` (rad) that holds ``bed_area`` (m^2), and grow to
-    ``coarse_size`` away from it.  Curved walls are followed to second order.
+    origin, e.g. ``Circle(Pnt(0, 0), R).Face()``.  Elements are ``fine_size`` from
+    ``band_depth`` below to ``band_height`` above the plane at ``band_angle`` (rad) that holds
+    ``bed_area`` (m^2), and grow to ``coarse_size`` away from it.  Curved walls are followed to
+    second order.
     """
     geometry = OCCGeometry(face, dim=2)
     coarse = ngs.Mesh(geometry.GenerateMesh(maxh=coarse_size)).Curve(2)
@@ -63,7 +65,7 @@ def cross_section_mesh(
     parameters = MeshingParameters(maxh=coarse_size, grading=_GRADING)
     reach = farthest_wall(coarse)
     along = np.arange(-reach, reach, fine_size)
-    across = offset + np.arange(-half_band, half_band + 0.5 * fine_size, fine_size)
+    across = offset + np.arange(-band_depth, band_height + 0.5 * fine_size, fine_size)
     normal = np.array(surface_normal(band_angle))
     tangent = np.array([normal[1], -normal[0]])
     for x, y in (along[:, None, None] * tangent + across[None, :, None] * normal).reshape(-1, 2):

@@ -20,17 +20,22 @@ from __future__ import annotations
 from typing import Any
 
 import ngsolve as ngs
+import numpy as np
 
 from scaleup.api import Material
 
 from .block_solver import BlockSolver
+from .element_shapes import ElementShapes
 from .factors import SymmetricFactors
 from .parameters import Discretisation
-from .viscosity import CUT_CELL_ORDER, Viscosity
+from .velocity_terms import BodyForce, VelocityTerms
+from .viscosity import Viscosity
 
 # Nitsche's penalty on u.n, in units of eta/h and of rho h/dt.
 _NITSCHE_VISCOUS = 20.0
 _NITSCHE_INERTIAL = 5.0
+# Extra quadrature order at walls that the smoothed interface crosses.
+_CUT_ORDER = 2
 # Compressibility (1/Pa) that fixes the pressure's constant and lets L D L^T do without pivoting.
 _COMPRESSIBILITY = 1.0e-9
 
@@ -52,13 +57,15 @@ class Momentum:
         material: Material,
         numerics: Discretisation,
         time_step: Any,
-        gravity: Any,
+        force: BodyForce,
         wall_velocity: Any,
+        shapes: ElementShapes,
         wall: str = ".*",
         rough: str = ".*",
     ) -> None:
-        self._solution, self._previous = solution, previous
-        space, alpha, dt, old = solution.space, fraction, time_step, previous
+        self._solution, self._previous, self._time_step = solution, previous, time_step
+        self._force, self._shapes = force, shapes
+        space, alpha, dt = solution.space, fraction, time_step
         mesh = space.mesh
         velocity = solution.components[0]
         (u, p), (v, q) = space.TnT()
@@ -90,20 +97,11 @@ class Momentum:
             - q * ngs.div(u)
             - _COMPRESSIBILITY * p * q
         ).Compile() * ngs.dx
-        on_wall = ngs.ds(
-            skeleton=True, definedon=mesh.Boundaries(wall), bonus_intorder=CUT_CELL_ORDER
-        )
+        on_wall = ngs.ds(skeleton=True, definedon=mesh.Boundaries(wall), bonus_intorder=_CUT_ORDER)
         self._constant += (p * (v * n) + q * (u * n)).Compile() * on_wall
         self._constant.Assemble()
 
-        interior = ngs.dx(bonus_intorder=CUT_CELL_ORDER)
         self._matrix = ngs.BilinearForm(space, symmetric=True)
-        self._matrix += (
-            rho / dt * ngs.InnerProduct(u, v)
-            + 0.5 * dt * rho * ngs.InnerProduct(ngs.Grad(u) * old, ngs.Grad(v) * old)
-            + 2.0 * eta * ngs.InnerProduct(strain_rate(u), ngs.Grad(v))
-            + (numerics.grad_div if mesh.dim == 3 else 0.0) * alpha * ngs.div(u) * ngs.div(v)
-        ).Compile() * interior
         self._matrix += (
             normal_penalty * (u * n) * (v * n)
             - 2.0 * eta * ((strain_rate(u) * n) * n) * (v * n)
@@ -112,21 +110,24 @@ class Momentum:
         on_rough = ngs.ds(
             skeleton=True,
             definedon=mesh.Boundaries(wall) * mesh.Boundaries(rough),
-            bonus_intorder=CUT_CELL_ORDER,
+            bonus_intorder=_CUT_ORDER,
         )
         self._matrix += (
             wall_drag * ngs.InnerProduct(tangential(u), tangential(v))
         ).Compile() * on_rough
         self._load = ngs.LinearForm(space)
         self._load += (
-            rho * ngs.InnerProduct(gravity + old / dt - ngs.Grad(old) * old, v)
-        ).Compile() * interior
-        self._load += (
             wall_drag * ngs.InnerProduct(wall_velocity, tangential(v))
         ).Compile() * on_rough
+        self._matrix.Assemble()
+        own = self._matrix.mat if mesh.comm.size == 1 else self._matrix.mat.local_mat
+        self._within = VelocityTerms(space.components[0], own, shapes)
+        self._materials = ngs.CoefficientFunction((rho, eta)).Compile()
+        self._fraction = alpha
+        self._grad_div = numerics.grad_div
         self._solver: Any
         if mesh.dim == 2:
-            self._solver = SymmetricFactors(self._matrix)
+            self._solver = SymmetricFactors(self._matrix.mat)
         else:
             unit = material.bulk_density * numerics.fine_size / numerics.time_step
             self._solver = BlockSolver(self._matrix, eta, rho, dt, unit)
@@ -142,5 +143,18 @@ class Momentum:
         self._matrix.Assemble()
         self._matrix.mat.AsVector().data += self._constant.mat.AsVector()
         self._load.Assemble()
+        shapes = self._shapes
+        density, viscosity = np.moveaxis(shapes.sampled(self._materials), -1, 0)
+        # in the plane grad-div acts in the air as well, which never changes
+        dilated = self._grad_div * shapes.sampled(self._fraction) if shapes.dimension == 3 else None
+        self._within.add(
+            self._load.vec.FV().NumPy(),
+            density,
+            viscosity,
+            dilated,
+            self._previous.vec.FV().NumPy(),
+            self._time_step.Get(),
+            self._force,
+        )
         self._solver.update()
         self._solver.solve(self._load.vec, self._solution.vec)

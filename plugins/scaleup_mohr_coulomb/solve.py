@@ -66,7 +66,8 @@ def steady_bed(
         numerics.fine_size,
         area,
         numerics.band_angle,
-        numerics.half_band,
+        numerics.band_depth,
+        numerics.band_height,
     )
     vertices = np.array([vertex.point for vertex in mesh.vertices])
     # what the run goes through does not depend on when it stops: a checkpoint outlives the limit

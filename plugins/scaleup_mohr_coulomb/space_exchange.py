@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .block_solver import Numbering, PositiveSystem
 from .element_lattice import inside_triangle
 from .element_matrix import ElementMatrix
+from .element_shapes import ElementShapes
 from .space_level_set import EDGES, SpaceLevelSet
 from .surface_transport import Transport
 
@@ -113,10 +114,12 @@ class ExchangingTransport:
     nothing passes the wall.  Collective.
     """
 
-    def __init__(self, level_set: SpaceLevelSet, velocity: Any, time_step: Any) -> None:
+    def __init__(
+        self, level_set: SpaceLevelSet, velocity: Any, time_step: Any, shapes: ElementShapes
+    ) -> None:
         """``velocity`` is a coefficient function, ``time_step`` an ngs.Parameter, s."""
         self._level_set, self._time_step = level_set, time_step
-        self._transport = Transport(level_set, velocity, time_step)
+        self._transport = Transport(level_set, velocity, time_step, shapes)
         self._fluxes = FaceFluxes(level_set)
 
     def step(self, velocity: NDArray[Any]) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import ngsolve as ngs
+import numpy as np
 
-from .block_solver import PositiveSolver
-from .factors import SymmetricFactors
+from .element_shapes import ElementShapes, outer_products
+from .field_system import FieldSystem
 from .level_set import LevelSet
 
 
@@ -20,33 +21,32 @@ class Transport:
 
     This is the streamline-upwind Petrov-Galerkin method with the parameter dt/2, its value at small
     Courant numbers, and has a symmetric, positive definite matrix.  u is the mid-step velocity, a
-    coefficient function that the caller keeps up to date; so is the time step (s) unless a number.
+    coefficient function that the caller keeps up to date; the time step is an ngs.Parameter, s.
     """
 
-    def __init__(self, level_set: Any, velocity: Any, time_step: Any) -> None:
-        self._field = level_set.field
-        phi, s = level_set.space.TnT()
-
-        def along(function: Any) -> Any:
-            return 0.5 * time_step * ngs.InnerProduct(velocity, ngs.grad(function))
-
-        test = s + along(s)
-        self._matrix = ngs.BilinearForm(level_set.space, symmetric=True)
-        self._matrix += ((phi + along(phi)) * test).Compile() * ngs.dx
-        self._load = ngs.LinearForm(level_set.space)
-        self._load += ((self._field - along(self._field)) * test).Compile() * ngs.dx
-        self._solver: Any = (
-            SymmetricFactors(self._matrix)
-            if level_set.mesh.dim == 2
-            else PositiveSolver(self._matrix)
-        )
+    def __init__(
+        self, level_set: Any, velocity: Any, time_step: Any, shapes: ElementShapes
+    ) -> None:
+        self._field, self._velocity, self._time_step = level_set.field, velocity, time_step
+        self._shapes = shapes
+        self._system = FieldSystem(level_set.space)
 
     def step(self) -> None:
         """Replace phi^n by phi^{n+1}."""
-        self._matrix.Assemble()
-        self._load.Assemble()
-        self._solver.update()
-        self._solver.solve(self._load.vec, self._field.vec)
+        system, shapes = self._system, self._shapes
+        velocity = self._shapes.sampled(self._velocity)
+        half = 0.5 * self._time_step.Get()
+        field = self._field.vec.FV().NumPy()
+        loads = np.empty(system.dofs.shape)
+        for some, slopes in shapes.chunks():
+            along = half * np.matmul(slopes, velocity[some][..., None])[..., 0]
+            root = np.sqrt(shapes.weights[some])[..., None]
+            test = root * (shapes.values + along)
+            system.blocks[some] = outer_products(test)
+            old = np.matmul(root * (shapes.values - along), field[system.dofs[some]][..., None])
+            loads[some] = np.matmul(test.transpose(0, 2, 1), old)[..., 0]
+        system.update()
+        field[:] = system.solve(loads, field)
 
 
 class SolenoidalVelocity:
@@ -89,10 +89,16 @@ class ConservingTransport:
     so that the bed keeps its area.
     """
 
-    def __init__(self, level_set: LevelSet, mover: SolenoidalVelocity, time_step: Any) -> None:
+    def __init__(
+        self,
+        level_set: LevelSet,
+        mover: SolenoidalVelocity,
+        time_step: Any,
+        shapes: ElementShapes,
+    ) -> None:
         """``time_step`` is an ngs.Parameter, s."""
         self._level_set, self._mover, self._time_step = level_set, mover, time_step
-        self._transport = Transport(level_set, mover.field, time_step)
+        self._transport = Transport(level_set, mover.field, time_step, shapes)
 
     def step(self) -> None:
         """Replace phi^n by phi^{n+1}."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from scaleup.api import Material
 
+from .element_shapes import ElementShapes
 from .level_set import LevelSet, SignedDistance
 from .mesh import farthest_wall
 from .momentum import Momentum
@@ -67,8 +68,7 @@ class TwoPhaseFlow:
         else:
             self.level_set.set_surface(drive.bed_area, surface)
         velocity_space = ngs.VectorH1(mesh, order=2)
-        linear = ngs.H1(mesh, order=1)
-        self._solution = ngs.GridFunction(velocity_space * linear)
+        self._solution = ngs.GridFunction(velocity_space * ngs.H1(mesh, order=1))
         self.velocity, self.pressure = self._solution.components
         previous = ngs.GridFunction(velocity_space)
         omega = drive.angular_velocity
@@ -80,6 +80,7 @@ class TwoPhaseFlow:
         alpha = self.level_set.fraction
         self._strength = Strength.of(material, rheology or Rheology())
         self._step_length = ngs.Parameter(discretisation.time_step)
+        shapes = ElementShapes(mesh)
         self._viscosity = Viscosity(
             self.velocity,
             self.pressure,
@@ -88,7 +89,8 @@ class TwoPhaseFlow:
             material.bulk_density,
             discretisation,
             self._step_length,
-            linear,
+            self.level_set.space,
+            shapes,
         )
         self._momentum = Momentum(
             self._solution,
@@ -98,12 +100,15 @@ class TwoPhaseFlow:
             material,
             discretisation,
             self._step_length,
-            gravity=ngs.CoefficientFunction((0.0, -drive.gravity)),
+            force=lambda points, velocity: np.array((0.0, -drive.gravity)),
             wall_velocity=wall_velocity,
+            shapes=shapes,
             rough=rough,
         )
         self._mover = SolenoidalVelocity(0.5 * (self.velocity + previous), mesh)
-        self._transport = ConservingTransport(self.level_set, self._mover, self._step_length)
+        self._transport = ConservingTransport(
+            self.level_set, self._mover, self._step_length, shapes
+        )
         half_width = discretisation.interface_half_width
         deep_air = ngs.IfPos(-self.level_set.field - half_width, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep_air, deep_air * self.pressure))

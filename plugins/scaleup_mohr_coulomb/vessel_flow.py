@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from scaleup.api import Geometry, Material, level_height
 
+from .element_shapes import ElementShapes
 from .momentum import Momentum
 from .parameters import Discretisation, Rheology
 from .rheology import Strength
@@ -74,16 +75,15 @@ class VesselFlow:
         self.level_set = SpaceLevelSet(mesh, numerics.interface_half_width, wall_distance, comm)
         self.level_set.set_level(level_height(geometry, volume), self.volume)
         velocity_space = ngs.VectorH1(mesh, order=2)
-        linear = ngs.H1(mesh, order=1)
-        self._solution = ngs.GridFunction(velocity_space * linear)
+        self._solution = ngs.GridFunction(velocity_space * ngs.H1(mesh, order=1))
         self.velocity, self.pressure = self._solution.components
         self._previous = ngs.GridFunction(velocity_space)
         depth = ngs.IfPos(self.level_set.field, self.level_set.field, 0.0)
         self.pressure.Set(material.bulk_density * gravity * depth)
         self._step_length = ngs.Parameter(numerics.time_step)
-        self._gravity = (ngs.Parameter(0.0), ngs.Parameter(0.0))
-        self._gravity_now = gravity
+        self._gravity = gravity
         alpha = self.level_set.fraction
+        shapes = ElementShapes(mesh)
         self._viscosity = Viscosity(
             self.velocity,
             self.pressure,
@@ -92,16 +92,10 @@ class VesselFlow:
             material.bulk_density,
             numerics,
             self._step_length,
-            linear,
+            self.level_set.space,
+            shapes,
         )
         old = self._previous
-        force = ngs.CoefficientFunction(
-            (
-                self._gravity[0] + speed**2 * ngs.x + 2.0 * speed * old[1],
-                self._gravity[1] + speed**2 * ngs.y - 2.0 * speed * old[0],
-                0.0,
-            )
-        )
         self._momentum = Momentum(
             self._solution,
             old,
@@ -110,14 +104,26 @@ class VesselFlow:
             material,
             numerics,
             self._step_length,
-            gravity=force,
+            force=self._force,
             wall_velocity=ngs.CoefficientFunction((0.0, 0.0, 0.0)),
+            shapes=shapes,
             rough=WALL if mirrored else ".*",
         )
         self._mover = LessDivergent(0.5 * (self.velocity + old), mesh)
-        self._transport = ExchangingTransport(self.level_set, self._mover.field, self._step_length)
+        self._transport = ExchangingTransport(
+            self.level_set, self._mover.field, self._step_length, shapes
+        )
         deep = ngs.IfPos(-self.level_set.field - numerics.interface_half_width, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep, deep * self.pressure))
+
+    def _force(self, points: NDArray[Any], velocity: NDArray[Any]) -> NDArray[Any]:
+        """Gravity, centrifugal and Coriolis force per mass (..., 3), m/s^2."""
+        omega = self.speed
+        (x, y), (u, v) = (np.moveaxis(field[..., :2], -1, 0) for field in (points, velocity))
+        down = -self._gravity * math.sin(self.phase), -self._gravity * math.cos(self.phase)
+        across = down[0] + omega**2 * x + 2.0 * omega * v
+        up = down[1] + omega**2 * y - 2.0 * omega * u
+        return np.stack([across, up, np.zeros_like(up)], axis=-1)
 
     @property
     def unknowns(self) -> int:
@@ -133,8 +139,6 @@ class VesselFlow:
         """
         self._step_length.Set(length)
         self.phase += self.speed * length
-        self._gravity[0].Set(-self._gravity_now * math.sin(self.phase))
-        self._gravity[1].Set(-self._gravity_now * math.cos(self.phase))
         self._viscosity.update()
         self._momentum.step()
         self.iterations += self._momentum.iterations

@@ -5,7 +5,8 @@ through a filter of length l (:attr:`Discretisation.filter_length`),
 
     int (alpha + 1e-3) (g s + l^2 grad g.grad s) = int (alpha + 1e-3) sqrt(2 E:E) s  for all s,
 
-and likewise for the pressure, with alpha the powder fraction and linear elements g, s.
+and likewise for the pressure, with alpha the powder fraction and quadratic elements g, s (with
+linear ones a drum's layer at h = 3 l is off its converged depth by 5 instead of 2 %).
 """
 
 from __future__ import annotations
@@ -15,13 +16,11 @@ from typing import Any
 import ngsolve as ngs
 import numpy as np
 
-from .block_solver import PositiveSolver
-from .factors import SymmetricFactors
+from .element_shapes import ElementShapes, outer_products
+from .field_system import FieldSystem
 from .parameters import Discretisation
 from .rheology import Strength, effective_viscosity, predicted_shear_rate
 
-# Extra quadrature order for elements that the smoothed interface crosses.
-CUT_CELL_ORDER = 2
 # Weight of the air in the filter: enough to define it there, too little to dilute the powder.
 _AIR_WEIGHT = 1.0e-3
 
@@ -30,7 +29,7 @@ class Viscosity:
     """Viscosity of the powder by the state that velocity and pressure are in.
 
     Attributes: ``field`` (L2, order 1, Pa s), ``shear_rate`` and ``pressure``, the filtered ones
-    (H1, order 1, 1/s and Pa).
+    (coefficient functions, 1/s and Pa).
     """
 
     def __init__(
@@ -43,24 +42,19 @@ class Viscosity:
         numerics: Discretisation,
         time_step: Any,
         space: Any,
+        shapes: ElementShapes,
     ) -> None:
-        """``space`` holds linear, continuous functions; ``time_step`` is an ngs.Parameter, s."""
-        g, s = space.TnT()
-        self.shear_rate, self.pressure = ngs.GridFunction(space), ngs.GridFunction(space)
+        """``space`` holds the filtered fields, continuous functions of order 1 or 2; ``time_step``
+        is an ngs.Parameter, s.
+        """
+        self._shapes, self._filter_length = shapes, numerics.filter_length
+        self._shear_rate, self.pressure = ngs.GridFunction(space), ngs.GridFunction(space)
+        # quadratic functions may undershoot
+        self.shear_rate = ngs.IfPos(self._shear_rate, self._shear_rate, 0.0)
+        self._filter = FieldSystem(space)
         strain_rate = ngs.Sym(ngs.Grad(velocity))
         shear_rate = ngs.sqrt(2.0 * ngs.InnerProduct(strain_rate, strain_rate))
-        weight = fraction + _AIR_WEIGHT
-        self._filter = ngs.BilinearForm(space, symmetric=True)
-        self._filter += (
-            weight * (g * s + numerics.filter_length**2 * ngs.grad(g) * ngs.grad(s))
-        ).Compile() * ngs.dx
-        self._solver: Any = (
-            SymmetricFactors(self._filter) if space.mesh.dim == 2 else PositiveSolver(self._filter)
-        )
-        self._shear_rate_load, self._pressure_load = ngs.LinearForm(space), ngs.LinearForm(space)
-        cut_cells = ngs.dx(bonus_intorder=CUT_CELL_ORDER)
-        self._shear_rate_load += (weight * shear_rate * s).Compile() * cut_cells
-        self._pressure_load += (weight * pressure * s).Compile() * ngs.dx
+        self._sources = ngs.CoefficientFunction((fraction, shear_rate, pressure)).Compile()
 
         strength_now = strength(self.shear_rate, self.pressure)
         self.field = ngs.GridFunction(ngs.L2(space.mesh, order=1))
@@ -86,11 +80,20 @@ class Viscosity:
         self.field.vec.data = self._projected.vec
 
     def _filter_fields(self) -> None:
-        self._filter.Assemble()
-        self._shear_rate_load.Assemble()
-        self._pressure_load.Assemble()
-        self._solver.update()
-        self._solver.solve(self._shear_rate_load.vec, self.shear_rate.vec)
-        self._solver.solve(self._pressure_load.vec, self.pressure.vec)
-        shear_rate = self.shear_rate.vec.FV().NumPy()
-        np.maximum(shear_rate, 0.0, out=shear_rate)
+        shapes, system = self._shapes, self._filter
+        fraction, *sources = np.moveaxis(shapes.sampled(self._sources), -1, 0)
+        weight = shapes.weights * (fraction + _AIR_WEIGHT)
+        count = system.dofs.shape[1]
+        values = shapes.values[:, :count]
+        for some, slopes in shapes.chunks():
+            root = np.sqrt(weight[some])[..., None]
+            rows = [root * values]
+            rows += [
+                self._filter_length * root * slopes[:, :, :count, axis]
+                for axis in range(shapes.dimension)
+            ]
+            system.blocks[some] = outer_products(np.concatenate(rows, axis=1))
+        system.update()
+        for field, source in zip((self._shear_rate, self.pressure), sources, strict=True):
+            coefficients = field.vec.FV().NumPy()
+            coefficients[:] = system.solve((weight * source) @ values, coefficients)

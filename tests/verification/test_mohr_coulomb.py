@@ -17,6 +17,7 @@ from scaleup.errors import RunError
 from scaleup.flow_source import obtain_flow
 from scaleup.scene import Material
 from scaleup.testing import check_flow
+from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
@@ -45,7 +46,7 @@ COARSE = [
 @pytest.fixture(scope="module")
 def mesh():
     return cross_section_mesh(
-        Circle(Pnt(0, 0), RADIUS).Face(), 0.012, 0.005, AREA, math.radians(20), 0.014
+        Circle(Pnt(0, 0), RADIUS).Face(), 0.012, 0.005, AREA, math.radians(20), 0.014, 0.014
     )
 
 
@@ -76,7 +77,7 @@ def test_level_set_turns_with_a_rigid_rotation(mesh):
     level_set = LevelSet(mesh, 0.005)
     level_set.set_plane(AREA, 0.0)
     rotation = ngs.CoefficientFunction((-OMEGA * ngs.y, OMEGA * ngs.x))
-    transport = Transport(level_set, rotation, 0.01)
+    transport = Transport(level_set, rotation, ngs.Parameter(0.01), ElementShapes(mesh))
     for step in range(50):
         transport.step()
         if step % 5 == 0:
@@ -95,8 +96,9 @@ def test_a_bed_swirled_and_swirled_back_keeps_its_area_and_shape(mesh, redistanc
     strength = ngs.Parameter(2.0)
     swirl = strength * (1.0 - square) * ngs.CoefficientFunction((-ngs.y, ngs.x))
     mover = SolenoidalVelocity(swirl, mesh)
-    plain = Transport(level_set, mover.field, 0.01)
-    transport = ConservingTransport(level_set, mover, ngs.Parameter(0.01))
+    step, shapes = ngs.Parameter(0.01), ElementShapes(mesh)
+    plain = Transport(level_set, mover.field, step, shapes)
+    transport = ConservingTransport(level_set, mover, step, shapes)
     start = level_set.field.vec.FV().NumPy().copy()
 
     def there_and_back(move) -> tuple[float, float]:
@@ -169,7 +171,7 @@ def test_a_bed_below_its_friction_angle_turns_with_the_drum(mesh):
 @pytest.mark.parametrize(
     ("slope", "creep_rate", "steps", "final", "rests"),
     [
-        (20.0, 1.3e-5, 40, (19.8, 20.1), True),  # below the friction angle of 23.6 deg
+        (20.0, 1.3e-5, 40, (19.2, 20.1), True),  # below the friction angle of 23.6 deg
         (32.0, 1.3e-5, 140, (17.0, 23.6), True),  # fails, and comes to rest below it
         (20.0, 1.3, 40, (10.0, 18.0), False),  # regularised too much: the bed creeps
     ],
@@ -238,8 +240,8 @@ def test_too_long_a_step_is_said_and_not_computed(mesh):
 
 
 def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
-    """At a step of 40 ms a coarse drum yields late and runs away; the record must not show it."""
-    flow, times = careful_drum(0.04, seconds=1.5)
+    """At a step of 60 ms a coarse drum yields late and runs away; the record must not show it."""
+    flow, times = careful_drum(0.06, seconds=1.5)
     steps = CarefulSteps(flow, SwingAverage(flow))
     while flow.time < times:
         steps.block()
@@ -247,7 +249,7 @@ def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
     assert recovery.retries >= 1
     assert 1 <= recovery.most_halvings <= 4
     samples = np.array(steps.average.times)
-    assert np.diff(samples) == pytest.approx(0.04, rel=1e-9)
+    assert np.diff(samples) == pytest.approx(0.06, rel=1e-9)
     assert samples[-1] == pytest.approx(flow.time)
     angles = np.degrees(steps.average.angles)
     assert 15 < angles.min() < angles.max() < 35
@@ -279,7 +281,7 @@ def careful_drum(
 ) -> tuple[TwoPhaseFlow, float]:
     """A very coarse drum, and the time when it has run for so many seconds."""
     mesh = cross_section_mesh(
-        Circle(Pnt(0, 0), RADIUS).Face(), 0.012, size, AREA, math.radians(20), 0.014
+        Circle(Pnt(0, 0), RADIUS).Face(), 0.012, size, AREA, math.radians(20), 0.014, 0.014
     )
     material, drive = Material(wall_friction=wall_friction), Drive(AREA, omega)
     numerics = Discretisation.by_rule(
@@ -290,22 +292,31 @@ def careful_drum(
 
 
 def test_constant_friction_converges_with_a_length_and_not_without():
-    """After the first avalanche: it is ill-posed, and only a length held under refinement cures it.
+    """It is ill-posed: with a length held under refinement the flow that follows the first
+    avalanche converges; with one that shrinks with the mesh shear is faster on every finer one.
 
-    Without one the slope differs by many degrees from mesh to mesh (36, 38, 32, 28 with elements of
-    8, 5.6, 4 and 2.8 mm), with one of 2 mm it is 25.1, 23.7, 24.1, 24.0.
+    The shear rate, weighted with itself, of elements of 8, 5.6, 4 and 2.8 mm: 7.3, 7.7, 8.0, 7.7 /s
+    with a length of 2 mm, 4.8, 9.0, 20.9, 34.4 with a third of the element.
     """
 
-    def slope(size: float, length: float) -> float:
+    def shear_rate(size: float, length: float) -> float:
         flow, end = careful_drum(
-            0.008, 0.84, size=size, filter_length=length, interface_half_width=0.006
+            0.008, 1.1, size=size, filter_length=length, interface_half_width=0.006
         )
+        strain_rate = ngs.Sym(ngs.Grad(flow.velocity))
+        shear = ngs.sqrt(2.0 * ngs.InnerProduct(strain_rate, strain_rate))
+        powder = flow.level_set.fraction
+        parts = ngs.CoefficientFunction((powder * shear * shear, powder * shear))
+        total = np.zeros(2)
         while flow.time < end:
             flow.step()
-        return math.degrees(flow.level_set.surface_fit(0.03)[0])
+            if flow.time > end - 0.3:
+                total += np.array(ngs.Integrate(parts, flow.mesh, order=4))
+        return total[0] / total[1]
 
-    assert abs(slope(0.0056, 0.002) - slope(0.004, 0.002)) < 1.0
-    assert abs(slope(0.0056, 1e-5) - slope(0.004, 1e-5)) > 3.0
+    coarse, fine = 0.0056, 0.004
+    assert shear_rate(fine, 0.002) == pytest.approx(shear_rate(coarse, 0.002), rel=0.1)
+    assert shear_rate(fine, fine / 3) > 1.5 * shear_rate(coarse, coarse / 3)
 
 
 def test_swings_are_counted_on_a_known_history():
@@ -403,8 +414,8 @@ def test_the_start_up_leads_from_the_first_slip_to_the_mean_flow(store):
     [
         (2e-3, None, 2e-3 / math.sqrt(8), 3 * 2e-3 / math.sqrt(8)),
         (4e-3, None, 4e-3 / math.sqrt(8), RADIUS / 24),
-        (1e-3, None, RADIUS / 72, RADIUS / 24),
-        (1e-3, 0.001, RADIUS / 72, 0.001),  # refined: the same length
+        (1e-3, None, RADIUS / 108, RADIUS / 36),
+        (1e-3, 0.001, RADIUS / 108, 0.001),  # refined: the same length
     ],
 )
 def test_the_filter_is_half_a_grain_or_numerical_and_never_the_mesh(
