@@ -24,6 +24,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from scaleup.api import RunError
 from scaleup.config import compose, fill_volume
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.mid_bed import mid_bed, surface_speed
@@ -137,7 +138,7 @@ def solve(name: str, case: Case) -> dict[str, Any]:
     try:
         bed = run_to_steady(steps, SteadyOptions(time_limit=limit), progress)
         middle = mid_bed(bed)
-    except (FlowDiverged, NotSteady, IndexError) as error:
+    except (FlowDiverged, NotSteady, RunError) as error:
         return {"failed": f"{type(error).__name__}: {error}", "seconds": time.monotonic() - began}
     return {
         "elements": mesh.ne,

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
+from scaleup.api import RunError
+
 from .mesh import farthest_wall, surface_normal, wall_distance
 from .swings import FIT_REACH
 
@@ -47,7 +49,10 @@ class MidBed:
 
 
 def mid_bed(bed: SteadyBed) -> MidBed:
-    """Diagnostics of the mean field at mid-bed."""
+    """Diagnostics of the mean field at mid-bed.
+
+    Raises RunError where nothing flows down on what is carried up.
+    """
     outward, downhill = _surface_axes(bed)
     radius = wall_distance(bed.mesh, np.zeros(2), -outward)
     ceiling = wall_distance(bed.mesh, np.zeros(2), outward)
@@ -59,6 +64,11 @@ def mid_bed(bed: SteadyBed) -> MidBed:
     surface = _zero(height, phi, np.flatnonzero((phi[:-1] <= 0.0) & (phi[1:] > 0.0))[-1])
     below = height < surface
     reverses = below[:-1] & (speed[:-1] > 0.0) & (speed[1:] <= 0.0)
+    if not reverses.any():
+        raise RunError(
+            "at mid-bed no powder flows down the slope on what the wall carries up: the bed slides "
+            "on the wall as a block; raise material.wall_friction"
+        )
     reversal = _zero(height, speed, np.flatnonzero(reverses)[0])
     upward_part = height < reversal
     flux = alpha * speed

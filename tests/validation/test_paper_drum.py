@@ -26,10 +26,10 @@ def outcomes(store):
 def test_surface_angles(outcomes):
     """The paper: 24.5 deg by particles (which know tan), 23.3 deg by its finite elements (sin)."""
     tan, sin = (outcomes[m].flow.summary for m in ("shear-plane", "mohr-coulomb"))
-    assert tan["surface_angle_deg"] == pytest.approx(24.5, abs=1.5)
-    assert sin["surface_angle_deg"] == pytest.approx(23.3, abs=1.5)
+    assert tan["surface_angle_deg"] == pytest.approx(24.5, abs=1.0)
+    assert sin["surface_angle_deg"] == pytest.approx(23.3, abs=1.0)
     difference = tan["surface_angle_deg"] - sin["surface_angle_deg"]
-    assert difference == pytest.approx(1.8, abs=0.7)
+    assert difference == pytest.approx(1.8, abs=0.5)
     assert math.hypot(tan["surface_angle_error_deg"], sin["surface_angle_error_deg"]) < 0.35
 
 

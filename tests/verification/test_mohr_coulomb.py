@@ -21,6 +21,7 @@ from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
+from scaleup_mohr_coulomb.mid_bed import mid_bed
 from scaleup_mohr_coulomb.on_grid import warnings_of
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
 from scaleup_mohr_coulomb.rheology import Strength, effective_viscosity
@@ -367,6 +368,17 @@ def test_a_coarse_drum_end_to_end(store):
     assert not finer.reused
     assert finer.seconds < 0.5 * outcome.seconds
     assert finer.flow.summary["surface_angle_deg"] == figures["surface_angle_deg"]
+
+
+def test_a_bed_that_slides_as_a_block_is_said(mesh):
+    """Its surface carries powder up as fast as its depth does: there is no layer to describe."""
+    level_set = LevelSet(mesh, 0.005)
+    level_set.set_plane(AREA, math.radians(5))
+    velocity = ngs.GridFunction(ngs.VectorH1(mesh, order=2))
+    velocity.Set((-0.01 * ngs.y, 0.01 * ngs.x))
+    bed = SimpleNamespace(mesh=mesh, level_set=level_set, velocity=velocity, angular_velocity=OMEGA)
+    with pytest.raises(RunError, match="slides on the wall as a block"):
+        mid_bed(bed)
 
 
 def test_the_start_up_leads_from_the_first_slip_to_the_mean_flow(store):
