@@ -2,9 +2,9 @@
 
 Surface angle and shape, active layer, surface speed and the streamwise velocity at mid-bed, for the
 three rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults),
-and for constant friction with half and twice the filter length and the predictor length. Nothing is
-fitted. Results are kept in a JSON file, so that the study goes on where it stopped; one solve takes
-some minutes.
+and for constant friction with finer elements, half and twice the filter length and the predictor
+length. Nothing is fitted. Results are kept in a JSON file, so that the study goes on where it
+stopped; one solve takes some minutes.
 
     python benchmarks/drum_against_particles.py --reference reference.json [--output DIR] [CASE ...]
 
@@ -36,6 +36,8 @@ from scaleup_mohr_coulomb.solve import steady_bed
 BASE = ("material.grain_diameter=2 mm",)
 CASES = {
     "mohr-coulomb": (),
+    "mohr-coulomb, h = 1.5 mm": ("flow.fine_size=1.5 mm",),
+    "mohr-coulomb, h = 1.06 mm": ("flow.fine_size=1.06 mm",),
     "mu-i": ("flow.rheology=mu-i",),
     "regularised-mu-i": ("flow.rheology=regularised-mu-i",),
     "filter x 1/2": ("flow.filter_length=0.3536 mm", "flow.fine_size=2.1 mm"),

@@ -51,7 +51,7 @@ class MidBed:
 def mid_bed(bed: SteadyBed) -> MidBed:
     """Diagnostics of the mean field at mid-bed.
 
-    Raises RunError where nothing flows down on what is carried up.
+    Raises RunError where there is no surface, or nothing flows down on what is carried up.
     """
     outward, downhill = _surface_axes(bed)
     radius = wall_distance(bed.mesh, np.zeros(2), -outward)
@@ -61,7 +61,13 @@ def mid_bed(bed: SteadyBed) -> MidBed:
     phi = sample(bed.mesh, bed.level_set.field, points)
     alpha = sample(bed.mesh, bed.level_set.fraction, points)
     speed = sample(bed.mesh, bed.velocity, points) @ downhill
-    surface = _zero(height, phi, np.flatnonzero((phi[:-1] <= 0.0) & (phi[1:] > 0.0))[-1])
+    crossings = np.flatnonzero((phi[:-1] <= 0.0) & (phi[1:] > 0.0))
+    if not len(crossings):
+        raise RunError(
+            "no free surface lies across the line through the axis that is normal to its mean: the "
+            "bed cataracts, which a mean surface does not show; lower operation.speed"
+        )
+    surface = _zero(height, phi, crossings[-1])
     below = height < surface
     reverses = below[:-1] & (speed[:-1] > 0.0) & (speed[1:] <= 0.0)
     if not reverses.any():

@@ -381,6 +381,17 @@ def test_a_bed_that_slides_as_a_block_is_said(mesh):
         mid_bed(bed)
 
 
+def test_a_mean_surface_that_misses_mid_bed_is_said(mesh):
+    """Powder at one side alone, as the mean of a bed that cataracts has it."""
+    level_set = LevelSet(mesh, 0.005)
+    level_set.set_surface(0.1 * AREA, lambda points: points[:, 0] - 0.06)
+    velocity = ngs.GridFunction(ngs.VectorH1(mesh, order=2))
+    level_set.surface_fit = lambda reach: (0.0, np.zeros(2))
+    bed = SimpleNamespace(mesh=mesh, level_set=level_set, velocity=velocity, angular_velocity=OMEGA)
+    with pytest.raises(RunError, match="the bed cataracts"):
+        mid_bed(bed)
+
+
 def test_the_start_up_leads_from_the_first_slip_to_the_mean_flow(store):
     """The contract, the avalanche, and mixing with every backend on the way through."""
     asked = [*COARSE, "flow.angle_tolerance='1 deg'", "flow.velocity_tolerance=0.2"]
