@@ -192,7 +192,7 @@ def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
         (held, "l = 0.65 mm held", "C0"),
         (shrinking, "l = h/3, shrinks with the mesh", "C3"),
     ):
-        names = [n for n in names if "failed" not in results[n]]
+        names = [n for n in names if results[n].get("converged")]
         names.sort(key=lambda n: CASES[n].fine_size)
         sizes = [1e3 * CASES[n].fine_size for n in names]
         for axis, key in zip(axes, ("angle_deg", "layer_mm", "shear_rate"), strict=True):

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import ngsolve as ngs
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,7 +86,21 @@ def element_dofs(space: Any, components: int = 1) -> NDArray[Any]:
     return np.array(dofs, dtype=int).reshape(space.mesh.ne, components * functions)
 
 
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def outer_products(rows: NDArray[Any]) -> NDArray[Any]:
-    """Sum over q of rows_qi rows_qj: (m, k, k), of rows (m, q, k)."""
-    found: NDArray[Any] = np.matmul(rows.transpose(0, 2, 1), rows)
+    """Sum over q of rows_qi rows_qj: (m, k, k), of rows (m, q, k).
+
+    Half to a third of the time of a BLAS call for each of so small matrices.
+    """
+    m, q, k = rows.shape
+    found = np.zeros((m, k, k))
+    for e in range(m):
+        for p in range(q):
+            for i in range(k):
+                factor = rows[e, p, i]
+                for j in range(i + 1):
+                    found[e, i, j] += factor * rows[e, p, j]
+        for i in range(k):
+            for j in range(i):
+                found[e, j, i] = found[e, i, j]
     return found
