@@ -218,11 +218,12 @@ def settled_since(angles: NDArray[Any], amplitude: float) -> int:
 
 
 def upward_crossings(angles: NDArray[Any], start: int, band: float) -> NDArray[Any]:
-    """Samples after ``start`` where the angle rises through its mean since then.
+    """Samples after ``start`` where the angle rises through its mean of the later half since then.
 
-    A crossing counts once the angle has been ``band`` (rad) below and is ``band`` above the mean.
+    A crossing counts once the angle has been ``band`` (rad) below and is ``band`` above the mean;
+    the earlier half's would count no more swings of a bed whose first were large and one-sided.
     """
-    deviation = angles[start:] - angles[start:].mean()
+    deviation = angles[start:] - angles[(start + len(angles)) // 2 :].mean()
     crossings, below, candidate = [], False, 0
     for sample, value in enumerate(deviation):
         if value < -band:

@@ -332,6 +332,16 @@ def test_swings_are_counted_on_a_known_history():
     assert np.diff(t[crossings]) == pytest.approx(0.75, abs=0.03)
 
 
+def test_small_swings_are_counted_after_a_large_one_to_one_side():
+    """Which alone would lift the mean since then beyond all swings that follow."""
+    t = np.arange(0, 4.5, 0.005)
+    swings = 0.3 * np.sin(2 * np.pi * t / 0.75 - 0.5)
+    angle = 25.0 + swings + np.where(t < 1.0, 6.0 * np.sin(np.pi * t), 0.0)
+    crossings = upward_crossings(np.radians(angle), 0, math.radians(0.025))
+    assert len(crossings) >= 5
+    assert np.diff(t[crossings][-4:]) == pytest.approx(0.75, abs=0.01)
+
+
 def test_the_layers_shear_rate_is_found_again_from_a_drum_in_closed_form():
     """delta = sqrt(2 q/rate): its reversal depth gives the rate back; one too deep gives none."""
     omega, radius, b = 2 * math.pi / 10, 0.07, 0.021
