@@ -78,8 +78,8 @@ class Discretisation:
     fine_size: float
     """Element size h in the band about the free surface, m.  Rule: 3 l, the longest that sees the
     filter, at most R/24, so that an active layer of R/5 is five quadratic elements deep, and at
-    least R/36.  Halving R/36 changes the paper's drum's mean angle by 0.2 deg and the depth of its
-    active layer by 2 %."""
+    least R/36.  Halving R/36 changes the paper's drum's mean angle by 0.25 deg and the depth of its
+    active layer by 3 %."""
     band_depth: float
     """Depth of the refined band below the surface, m.  Rule: R/5, that of a drum's active layer."""
     band_height: float

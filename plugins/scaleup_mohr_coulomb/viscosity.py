@@ -6,7 +6,7 @@ through a filter of length l (:attr:`Discretisation.filter_length`),
     int (alpha + 1e-3) (g s + l^2 grad g.grad s) = int (alpha + 1e-3) sqrt(2 E:E) s  for all s,
 
 and likewise for the pressure, with alpha the powder fraction and quadratic elements g, s (with
-linear ones a drum's layer at h = 3 l is off its converged depth by 5 instead of 2 %).
+linear ones a drum's layer at h = 3 l is off its converged depth by 5 instead of 3 %).
 """
 
 from __future__ import annotations
