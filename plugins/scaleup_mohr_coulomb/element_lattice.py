@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 _SUBDIVISIONS = 4
 # Three Gauss points and weights on [0, 1].
-_TIMES = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
-_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+TIMES = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
+WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 class ElementLattice:
@@ -84,7 +84,7 @@ class ElementLattice:
         """
         steps = np.diff(stream_function[:, self._rim], axis=1) * self._turn[:, None]
         found = np.zeros(len(self._elements))
-        for time, weight in zip(_TIMES, _WEIGHTS, strict=True):
+        for time, weight in zip(TIMES, WEIGHTS, strict=True):
             values = ((1.0 - time) * before + time * after)[:, self._rim]
             found += weight * (_inside_segment(values[:, :-1], values[:, 1:]) * steps).sum(axis=1)
         return found

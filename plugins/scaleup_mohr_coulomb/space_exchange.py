@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .block_solver import Numbering, PositiveSystem
-from .element_lattice import inside_triangle
+from .element_lattice import TIMES, WEIGHTS, inside_triangle
 from .element_matrix import ElementMatrix
 from .element_shapes import ElementShapes
 from .space_level_set import EDGES, SpaceLevelSet
 from .surface_transport import Transport
 
-# Three Gauss points and weights on [0, 1].
-_TIMES = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
-_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 # Part of the diagonal that fixes the potential's constant.
 _TIE = 1e-9
 
@@ -134,7 +131,7 @@ class ExchangingTransport:
         cut = (both.min(axis=1) <= 0.0) & (both.max(axis=1) > 0.0)
         outflow = np.zeros(len(held))
         nodes = self._fluxes.nodes[cut]
-        for time, weight in zip(_TIMES, _WEIGHTS, strict=True):
+        for time, weight in zip(TIMES, WEIGHTS, strict=True):
             values = ((1.0 - time) * before + time * after)[nodes]
             outflow[cut] += weight * (inside_triangle(values) * fluxes[cut]).sum(axis=(1, 2))
         level_set.hold(held - self._time_step.Get() * outflow)
