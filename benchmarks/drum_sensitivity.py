@@ -74,6 +74,8 @@ CASES = {
     "eps x 64": factor("creep_rate", 64.0),
     "slip speed x 1/4": factor("slip_speed", 0.25),
     "slip speed x 4": factor("slip_speed", 4.0),
+    "interface x 1/2": factor("interface_half_width", 0.5),
+    "interface x 2": factor("interface_half_width", 2.0),
     "filter x 1/2, h = 1.4 mm": Case(fine_size=H / math.sqrt(2), filter_length=0.5 * L),
     "filter x 2": Case(filter_length=2 * L),
     "filter of half a grain, h = 1.06 mm": Case(

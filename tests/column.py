@@ -62,9 +62,7 @@ def collapse(aspect: float, elements: float, steps_per_fall: float = 80.0) -> De
     rules = Discretisation.by_rule(
         material, drive, height, size, size, fall / steps_per_fall, size / 3
     )
-    numerics = replace(
-        rules, creep_rate=1e-3 / fall, slip_speed=1e-3 * height / fall, interface_half_width=size
-    )
+    numerics = replace(rules, creep_rate=1e-3 / fall, slip_speed=1e-3 * height / fall)
 
     def column(points):
         return np.minimum(WIDTH - points[:, 0], height - points[:, 1])

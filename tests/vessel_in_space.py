@@ -24,7 +24,7 @@ def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, mirrored=False, *
         vessel_mesh(geometry.solid, size, comm, mirrored),
         config.material,
         Rheology(),
-        dataclasses.replace(numerics, interface_half_width=0.5 * size, **changes),
+        dataclasses.replace(numerics, **changes),
         speed,
         GRAVITY,
         volume,

@@ -117,8 +117,9 @@ class Discretisation:
     slip_speed: float
     """Speed v_e that regularises Coulomb friction at the wall, m/s.  Rule: 1 % of omega R."""
     interface_half_width: float
-    """Half width W of the smoothed powder-air interface, m.  Rule: h, the sharpest kink of the
-    hydrostatic pressure that linear elements can follow."""
+    """Half width W of the smoothed powder-air interface, m.  Rule: h/2, the distance of the
+    level set's nodes.  An interface of h blurs the surface: a drum's surface speed is then 13 % off
+    what refinement converges to, and columns run up to a quarter farther."""
     air_density: float
     """Density of the light phase, kg/m^3.  Rule: 1/500 of the powder's."""
     air_viscosity: float
@@ -168,7 +169,7 @@ class Discretisation:
             predictor_threshold=time_step / fall_time,
             creep_rate=0.02 * omega,
             slip_speed=0.01 * omega * radius,
-            interface_half_width=fine_size,
+            interface_half_width=0.5 * fine_size,
             air_density=density / 500.0,
             air_viscosity=2.5e-4 * viscosity_scale,
             grad_div=0.035 * viscosity_scale,

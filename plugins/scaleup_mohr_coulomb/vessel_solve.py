@@ -28,9 +28,9 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
     """The method's rules (`parameters.Discretisation`), for meshes of one element size.
 
     Element size h = R/6 and time step sqrt(R/g)/8, for vessels that turn for whole revolutions on a
-    mesh that the surface sweeps all of; the interface's half width is h/2, the distance of the
-    level set's nodes.  The filter length is at least h/3: a shorter one is not seen (in 2-D, too),
-    and a level bed does not come to rest then.  It is numerical, and shrinks with the mesh.
+    mesh that the surface sweeps all of.  The filter length is at least h/3: a shorter one is not
+    seen (in 2-D, too), and a level bed does not come to rest then.  It is numerical, and shrinks
+    with the mesh.
     """
     reach = scene.geometry.reach
     size = options.fine_size or reach / _ELEMENTS
@@ -54,11 +54,8 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
         options.filter_length,
         options.predictor_length,
     )
-    return dataclasses.replace(
-        numerics,
-        interface_half_width=0.5 * size,
-        filter_length=options.filter_length or max(numerics.filter_length, size / 3.0),
-    )
+    filter_length = options.filter_length or max(numerics.filter_length, size / 3.0)
+    return dataclasses.replace(numerics, filter_length=filter_length)
 
 
 def vessel_flow(
