@@ -1,7 +1,7 @@
 """The paper's drum with 2 mm grains, by each rheology, beside a particle simulation of it.
 
 Surface angle and shape, active layer, surface speed and the streamwise velocity at mid-bed, for the
-three rheologies with the filter length of half a grain (0.71 mm, elements of 2.1 mm, the defaults),
+three rheologies with the filter length of half a grain (0.71 mm, elements of 2.8 mm, the defaults),
 and for constant friction with finer elements, half and twice the filter length and the predictor
 length. Nothing is fitted. Results are kept in a JSON file, so that the study goes on where it
 stopped; one solve takes some minutes.
@@ -36,12 +36,12 @@ from scaleup_mohr_coulomb.solve import steady_bed
 BASE = ("material.grain_diameter=2 mm",)
 CASES = {
     "mohr-coulomb": (),
-    "mohr-coulomb, h = 1.5 mm": ("flow.fine_size=1.5 mm",),
-    "mohr-coulomb, h = 1.06 mm": ("flow.fine_size=1.06 mm",),
+    "mohr-coulomb, h = 2 mm": ("flow.fine_size=2 mm",),
+    "mohr-coulomb, h = 1.4 mm": ("flow.fine_size=1.4 mm",),
     "mu-i": ("flow.rheology=mu-i",),
     "regularised-mu-i": ("flow.rheology=regularised-mu-i",),
-    "filter x 1/2": ("flow.filter_length=0.3536 mm", "flow.fine_size=2.1 mm"),
-    "filter x 2": ("flow.filter_length=1.4142 mm", "flow.fine_size=2.1 mm"),
+    "filter x 1/2": ("flow.filter_length=0.3536 mm", "flow.fine_size=1.4 mm"),
+    "filter x 2": ("flow.filter_length=1.4142 mm", "flow.fine_size=2.8 mm"),
     "predictor x 1/2": ("flow.predictor_length=2.45 mm",),
     "predictor x 2": ("flow.predictor_length=9.8 mm",),
 }

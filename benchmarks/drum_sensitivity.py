@@ -1,6 +1,6 @@
 """The paper's drum by `mohr-coulomb`: what its mean bed owes to each numerical parameter and input.
 
-One change at a time from the base (grains of 1 mm, elements of R/36, filter length R/108, the rules
+One change at a time from the base (grains of 1 mm, elements of R/27, filter length R/108, the rules
 of `parameters.py`), beside refinement with the filter length held and with a filter that shrinks
 with the mesh, the wall's friction, the rheologies and the speed. A case that cannot be solved says
 why. Every result is kept in a file of its own, so that the study goes on where it stopped.
@@ -35,7 +35,7 @@ from scaleup_mohr_coulomb.swings import SwingAverage
 from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 RADIUS = 0.07
-H, L = RADIUS / 36, RADIUS / 108  # m; the base's elements and filter length
+H, L = RADIUS / 27, RADIUS / 108  # m; the base's elements and filter length
 GRAIN = 1e-3  # m
 TIME_LIMIT = 140.0  # sqrt(R/g)
 
@@ -76,20 +76,19 @@ CASES = {
     "slip speed x 4": factor("slip_speed", 4.0),
     "interface x 1/2": factor("interface_half_width", 0.5),
     "interface x 2": factor("interface_half_width", 2.0),
-    "filter x 1/2, h = 1.4 mm": Case(fine_size=H / math.sqrt(2), filter_length=0.5 * L),
     "filter x 2": Case(filter_length=2 * L),
-    "filter of half a grain, h = 1.06 mm": Case(
-        fine_size=3 * GRAIN / math.sqrt(8), filter_length=GRAIN / math.sqrt(8)
+    "filter of half a grain, h = 1.4 mm": Case(
+        fine_size=4 * GRAIN / math.sqrt(8), filter_length=GRAIN / math.sqrt(8)
     ),
-    "h = 5.8 mm": Case(fine_size=3 * H),
-    "h = 3.9 mm": Case(fine_size=2 * H),
-    "h = 2.7 mm": Case(fine_size=math.sqrt(2) * H),
-    "h = 1.4 mm": Case(fine_size=H / math.sqrt(2)),
-    "h = 0.97 mm": Case(fine_size=0.5 * H),
-    "h = 5.8 mm, l = h/3": Case(fine_size=3 * H, filter_length=3 * L),
-    "h = 3.9 mm, l = h/3": Case(fine_size=2 * H, filter_length=2 * L),
-    "h = 2.7 mm, l = h/3": Case(fine_size=math.sqrt(2) * H, filter_length=math.sqrt(2) * L),
-    "h = 1.4 mm, l = h/3": Case(fine_size=H / math.sqrt(2), filter_length=L / math.sqrt(2)),
+    "h = 5.2 mm": Case(fine_size=2 * H),
+    "h = 3.7 mm": Case(fine_size=math.sqrt(2) * H),
+    "h = 1.8 mm": Case(fine_size=H / math.sqrt(2)),
+    "h = 1.3 mm": Case(fine_size=0.5 * H),
+    "h = 0.92 mm": Case(fine_size=H / math.sqrt(8)),
+    "h = 5.2 mm, l = h/4": Case(fine_size=2 * H, filter_length=2 * L),
+    "h = 3.7 mm, l = h/4": Case(fine_size=math.sqrt(2) * H, filter_length=math.sqrt(2) * L),
+    "h = 1.8 mm, l = h/4": Case(fine_size=H / math.sqrt(2), filter_length=L / math.sqrt(2)),
+    "h = 1.3 mm, l = h/4": Case(fine_size=0.5 * H, filter_length=0.5 * L),
     "no filter": Case(filter_length=0.01 * L),
     "wall friction 0.05": Case(material={"wall_friction": 0.05}),
     "wall friction 0.15": Case(material={"wall_friction": 0.15}),
@@ -189,10 +188,10 @@ def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
     figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
     base = ["base"] if "base" in results else []
     held = [n for n in results if n.startswith("h =") and "l =" not in n] + base
-    shrinking = [n for n in results if "l = h/3" in n] + base
+    shrinking = [n for n in results if "l = h/4" in n] + base
     for names, label, colour in (
         (held, "l = 0.65 mm held", "C0"),
-        (shrinking, "l = h/3, shrinks with the mesh", "C3"),
+        (shrinking, "l = h/4, shrinks with the mesh", "C3"),
     ):
         names = [n for n in names if results[n].get("converged")]
         names.sort(key=lambda n: CASES[n].fine_size)

@@ -41,7 +41,7 @@ class MohrCoulomb:
         """Pa, tension that pulls cohesive powder apart; default (and at most) c cos(phi)/mu"""
 
         fine_size: units.Length | None = None
-        """m, element size about the free surface; default 3 filter_length, from reach/36 to
+        """m, element size about the free surface; default 4 filter_length, from reach/27 to
         reach/24; in space that of all elements, default reach/6"""
         coarse_size: units.Length | None = None
         """m, element size elsewhere; default reach/9; not in space"""

@@ -149,7 +149,6 @@ class PositiveSystem:
     ) -> None:
         self._numbering = numbering
         self._block = AssembledBlock(share, numbering, numbering)
-        self._block.update()
         self._ksp = _solver(self._block.matrix, preconditioner, "cg")
         # the start may be that of a load many times larger
         self._ksp.setTolerances(rtol=_POSITIVE_RESIDUAL, divtol=1e30, max_it=1000)
@@ -157,39 +156,16 @@ class PositiveSystem:
         self._right, self._left = self._block.matrix.createVecs()
 
     def update(self) -> None:
-        """Follow the matrix as it stands."""
+        """Follow the matrix as it stands; to be called before the first solve."""
         self._block.update()
 
     def solve(self, load: NDArray[Any], start: NDArray[Any]) -> NDArray[Any]:
-        """Values of all local unknowns; the ``load`` is complete, iteration begins at ``start``."""
-        self._left.setArray(self._numbering.owned(load))
+        """Values of all local unknowns; ranks' ``load`` is summed, ``start`` begins the iteration."""
+        self._left.setArray(self._numbering.owned(self._numbering.completed(load)))
         self._right.setArray(self._numbering.owned(start))
         self._ksp.solve(self._left, self._right)
         _require_converged(self._ksp, "a filter, a projection or the level set")
         return self._numbering.to_local(self._right.getArray())
-
-
-class PositiveSolver:
-    """:class:`PositiveSystem` of a form, for NGSolve's vectors."""
-
-    def __init__(self, form: Any, preconditioner: str = "bjacobi") -> None:
-        self._form, self._preconditioner = form, preconditioner
-        self._system: PositiveSystem | None = None
-
-    def update(self) -> None:
-        """Follow the form's matrix as it stands."""
-        if self._system is None:
-            numbering = Numbering(self._form.space)
-            self._system = PositiveSystem(lambda: _csr(self._form), numbering, self._preconditioner)
-        else:
-            self._system.update()
-
-    def solve(self, load: Any, solution: Any) -> None:
-        """Solution of matrix * solution = load (NGSolve vectors); begins at the solution given."""
-        assert self._system is not None
-        load.Cumulate()
-        values = solution.FV().NumPy()
-        values[:] = self._system.solve(load.FV().NumPy(), values)
 
 
 class BlockSolver:

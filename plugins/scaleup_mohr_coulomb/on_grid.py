@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
 _SLIDING = 0.8  # rotation of the bed over the vessel's below which it no longer rolls
-_RESOLVED = 3.0  # element size over filter length beyond which the filter does nothing
+_RESOLVED = 4.0  # element size over filter length beyond which the filter does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
 
 

@@ -76,10 +76,9 @@ class Discretisation:
     coarse_size: float
     """Element size in the passive region and in the air, m.  Rule: R/9."""
     fine_size: float
-    """Element size h in the band about the free surface, m.  Rule: 3 l, the longest that sees the
-    filter, at most R/24, so that an active layer of R/5 is five quadratic elements deep, and at
-    least R/36.  Halving R/36 changes the paper's drum's mean angle by 0.25 deg and the depth of its
-    active layer by 3 %."""
+    """Element size h in the band about the free surface, m.  Rule: 4 l, the longest that sees the
+    filter (with 6 l a drum's layer is 13 % too thin), at most R/24, so that an active layer of R/5
+    is five quadratic elements deep, and at least R/27."""
     band_depth: float
     """Depth of the refined band below the surface, m.  Rule: R/5, that of a drum's active layer."""
     band_height: float
@@ -91,16 +90,16 @@ class Discretisation:
     """Inclination of the bed at time 0, rad.  Rule: 3/4 of the friction angle.  A level bed turns
     rigidly with the vessel until it yields, so that starting nearer to yield only saves time."""
     time_step: float
-    """Time step dt, s.  Rule: sqrt(R/g)/14; the bed's swings last about 9 sqrt(R/g)."""
+    """Time step dt, s.  Rule: sqrt(R/g)/10; the bed's swings last about 9 sqrt(R/g)."""
     filter_length: float
     """Non-local length l of shear rate and pressure, m.  Rule: d/sqrt(8), or R/108 if that is more.
 
     The filter's kernel has the standard deviation sqrt(2) l along each axis: with d/sqrt(8) half a
     grain, as wide as the kernels that make fields of grains (coarse-graining: Goldhirsch 2010,
     Granular Matter 12, 239; Weinhart et al. 2013, Phys. Fluids 25, 070605).  That is physical, and
-    taken where elements of R/36 resolve it (R < 38 d).  R/108 is numerical: a third of those
+    taken where elements of R/27 resolve it (R < 38 d).  R/108 is numerical: a quarter of those
     elements, for smaller grains.  Neither follows the mesh, so that refinement converges to the
-    flow of one l; a mesh of h > 3 l no longer sees the filter."""
+    flow of one l; a mesh of h > 4 l no longer sees the filter."""
     predictor_length: float
     """Length l over which stress beyond yield accelerates powder in the predictor of the shear
     rate, m.  Rule: 0.07 R, a third of an active layer.  It shapes the first avalanche; twice the
@@ -153,9 +152,9 @@ class Discretisation:
         density = material.bulk_density
         viscosity_scale = density * math.sqrt(gravity * radius**3)
         fall_time = math.sqrt(radius / gravity)
-        time_step = time_step or fall_time / 14.0
+        time_step = time_step or fall_time / 10.0
         filter_length = filter_length or max(grain_filter(material), radius / 108.0)
-        fine_size = fine_size or min(radius / 24.0, max(3.0 * filter_length, radius / 36.0))
+        fine_size = fine_size or min(radius / 24.0, max(4.0 * filter_length, radius / 27.0))
         return cls(
             coarse_size=max(fine_size, coarse_size or radius / 9.0),
             fine_size=fine_size,

@@ -71,6 +71,7 @@ class FaceFluxes:
         face = np.arange(4)
         matrix.blocks[:, face, face] += (1.0 + _TIE) * a
         self._system = PositiveSystem(matrix.share, self._numbering, "hypre")
+        self._system.update()
         self._potential = np.zeros(space.ndof)
 
     def of(self, velocity: NDArray[Any]) -> NDArray[Any]:
@@ -82,7 +83,7 @@ class FaceFluxes:
         load = np.bincount(
             self._faces.ravel(), (self._areas * gain - flux).ravel(), len(self._potential)
         )
-        self._potential = self._system.solve(self._numbering.completed(load), self._potential)
+        self._potential = self._system.solve(load, self._potential)
         mu = self._potential[self._faces]
         average = (self._areas * mu).sum(axis=1) / self._whole
         change = self._areas * (mu - average[:, None] - gain)

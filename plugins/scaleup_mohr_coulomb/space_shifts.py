@@ -33,7 +33,7 @@ class SpaceShifts:
         self._elements, self._spread = elements, spread
         self._numbering = Numbering(ngs.H1(mesh, order=1))
         self._matrix = ElementMatrix(elements, mesh.nv)
-        self._system: PositiveSystem | None = None
+        self._system = PositiveSystem(self._matrix.share, self._numbering)
 
     def shifts(self, missing: NDArray[Any], areas: NDArray[Any]) -> NDArray[Any]:
         """At all vertices (n_vertices,), m; ``missing`` (n,) in m^3, ``areas`` (n, 4) in m^2."""
@@ -44,15 +44,16 @@ class SpaceShifts:
         blocks, corner = self._matrix.blocks, np.arange(4)
         blocks[:] = np.where(near, -tie, 0.0)[:, None, None]
         blocks[:, corner, corner] = np.where(near[:, None], areas + (3.0 + _TIE) * tie, tie * apart)
-        if self._system is None:
-            self._system = PositiveSystem(self._matrix.share, self._numbering)
-        else:
-            self._system.update()
-        wanted = self._at_vertices(np.where(near, 0.25 * missing, 0.0))
+        self._system.update()
+        wanted = self._around(np.where(near, 0.25 * missing, 0.0))
         return self._system.solve(wanted, np.zeros(len(wanted)))
+
+    def _around(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Sums of this rank's elements' ``values`` about each vertex."""
+        count = len(self._numbering.ids)
+        here: NDArray[Any] = np.bincount(self._elements.ravel(), np.repeat(values, 4), count)
+        return here
 
     def _at_vertices(self, values: NDArray[Any]) -> NDArray[Any]:
         """Sums of elements' ``values`` about each vertex, whichever rank holds them."""
-        count = len(self._numbering.ids)
-        here = np.bincount(self._elements.ravel(), np.repeat(values, 4), count)
-        return self._numbering.completed(here)
+        return self._numbering.completed(self._around(values))

@@ -27,7 +27,6 @@ from .rheology import Strength
 from .space_exchange import ExchangingTransport
 from .space_level_set import SpaceLevelSet
 from .space_mesh import WALL
-from .space_velocity import LessDivergent
 from .two_phase import FlowDiverged
 from .viscosity import Viscosity
 
@@ -109,9 +108,8 @@ class VesselFlow:
             shapes=shapes,
             rough=WALL if mirrored else ".*",
         )
-        self._mover = LessDivergent(0.5 * (self.velocity + old), mesh)
         self._transport = ExchangingTransport(
-            self.level_set, self._mover.field, self._step_length, shapes
+            self.level_set, 0.5 * (self.velocity + old), self._step_length, shapes
         )
         deep = ngs.IfPos(-self.level_set.field - numerics.interface_half_width, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep, deep * self.pressure))
@@ -146,7 +144,6 @@ class VesselFlow:
         air, pressure = ngs.Integrate(self._air_pressure, self.mesh)
         if air > 0.0:
             self.pressure.vec.FV().NumPy()[:] -= pressure / air
-        self._mover.update()
         middle = 0.5 * (self.velocity.vec.FV().NumPy() + self._previous.vec.FV().NumPy())
         components = middle.reshape(3, -1)
         self._transport.step(np.stack([self.level_set.nodal(c) for c in components], axis=1))

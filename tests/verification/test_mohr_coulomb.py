@@ -445,9 +445,9 @@ def test_the_start_up_leads_from_the_first_slip_to_the_mean_flow(store):
 @pytest.mark.parametrize(
     ("grain", "asked", "filter_length", "fine_size"),
     [
-        (2e-3, None, 2e-3 / math.sqrt(8), 3 * 2e-3 / math.sqrt(8)),
+        (2e-3, None, 2e-3 / math.sqrt(8), 4 * 2e-3 / math.sqrt(8)),
         (4e-3, None, 4e-3 / math.sqrt(8), RADIUS / 24),
-        (1e-3, None, RADIUS / 108, RADIUS / 36),
+        (1e-3, None, RADIUS / 108, RADIUS / 27),
         (1e-3, 0.001, RADIUS / 108, 0.001),  # refined: the same length
     ],
 )
