@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block_solver import Share
+from .shared_matrix import Share
 
 
 class ElementMatrix:

@@ -63,11 +63,18 @@ class ElementShapes:
             return np.zeros(shape)
         return np.asarray(function(self._mapped)).reshape(shape)
 
-    def chunks(self) -> Iterator[tuple[slice, NDArray[Any]]]:
-        """Elements, some at a time, with the gradients (m, q, k, dimension) of their functions."""
-        for first in range(0, self.count, _CHUNK):
-            some = slice(first, min(first + _CHUNK, self.count))
-            kept = self._gradients
+    def chunks(
+        self, wanted: NDArray[Any] | None = None
+    ) -> Iterator[tuple[slice | NDArray[Any], NDArray[Any]]]:
+        """Elements (or those ``wanted``, by flags), some at a time: which they are, and the
+        gradients (m, q, k, dimension) of their functions.
+        """
+        everything = wanted is None or bool(wanted.all())
+        numbers = None if everything else np.flatnonzero(wanted)
+        count, kept = self.count if numbers is None else len(numbers), self._gradients
+        for first in range(0, count, _CHUNK):
+            chunk = slice(first, min(first + _CHUNK, count))
+            some = chunk if numbers is None else numbers[chunk]
             yield some, np.matmul(self._slopes, self._inverse[some]) if kept is None else kept[some]
 
 

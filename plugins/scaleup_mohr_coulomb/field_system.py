@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .block_solver import Numbering, PositiveSystem
 from .element_matrix import ElementMatrix
 from .element_shapes import element_dofs
 from .factors import FactoredSystem
+from .positive_system import PositiveSystem
+from .shared_matrix import Numbering
 
 
 class FieldSystem:

@@ -1,8 +1,10 @@
 """One time step of momentum and mass, for two phases of given fraction, in 2-D or 3-D.
 
-    rho (du/dt + u.grad u) = -grad p + div(2 eta E(u)) + rho g,    div u = 0,
+    rho (du/dt + u.grad u) = -grad p + div(2 eta E(u)) + (rho - rho_air) g,    div u = 0,
     rho = alpha rho_powder + (1 - alpha) rho_air,
     eta = alpha max(eta_powder, eta_air) + (1 - alpha) eta_air,    E(u) = (grad u + grad u^T)/2.
+
+The air's weight is left to its hydrostatic pressure, which p leaves out.
 
 At the wall u.n = 0 and the powder slides with Coulomb friction against the wall's velocity w,
 t = -mu_w p (u_t - w_t)/sqrt(|u_t - w_t|^2 + v_e^2); elsewhere the boundary is free of stress.
@@ -21,13 +23,15 @@ from typing import Any
 
 import ngsolve as ngs
 import numpy as np
+from numpy.typing import NDArray
 
 from scaleup.api import Material
 
 from .block_solver import BlockSolver
-from .element_shapes import ElementShapes
+from .element_shapes import ElementShapes, element_dofs
 from .factors import SymmetricFactors
 from .parameters import Discretisation
+from .shared_matrix import Numbering
 from .velocity_terms import BodyForce, VelocityTerms
 from .viscosity import Viscosity
 
@@ -123,7 +127,11 @@ class Momentum:
         own = self._matrix.mat if mesh.comm.size == 1 else self._matrix.mat.local_mat
         self._within = VelocityTerms(space.components[0], own, shapes)
         self._materials = ngs.CoefficientFunction((rho, eta)).Compile()
+        self._air_density = numerics.air_density
         self._fraction = alpha
+        self._vertices = element_dofs(space.components[1])
+        self._nodes = element_dofs(space.components[0], mesh.dim)[:, : shapes.values.shape[1]]
+        self._numberings = tuple(Numbering(ngs.H1(mesh, order=order)) for order in (2, 1))
         self._grad_div = numerics.grad_div
         self._solver: Any
         if mesh.dim == 2:
@@ -136,6 +144,20 @@ class Momentum:
     def iterations(self) -> int:
         """Of the linear solver in the last step; 0 of a direct one."""
         return int(self._solver.iterations)
+
+    def restrict(self, active: NDArray[Any]) -> NDArray[Any]:
+        """Solve from now on in the elements ``active`` (flags) alone, in space; collective.
+
+        Velocity is zero at all nodes that none of them has, pressure at all vertices that others
+        have too.  Returns flags of the elements without such vertices, where nothing is lost.
+        """
+        quadratic, linear = self._numberings
+        moving = quadratic.touched(self._nodes, active)
+        pressed = ~linear.touched(self._vertices, ~active)
+        self._solver.restrict(moving, pressed)
+        self._within.wanted = moving[self._nodes].any(axis=1)
+        conserving: NDArray[Any] = pressed[self._vertices].all(axis=1)
+        return conserving
 
     def step(self) -> None:
         """Keep the velocity as the previous one and solve for the next, with its pressure."""
@@ -150,6 +172,7 @@ class Momentum:
         self._within.add(
             self._load.vec.FV().NumPy(),
             density,
+            density - self._air_density,
             viscosity,
             dilated,
             self._previous.vec.FV().NumPy(),

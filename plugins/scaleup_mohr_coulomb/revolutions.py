@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scaleup.api import RunError
 
-from .block_solver import NotSolved
+from .krylov import NotSolved
 from .two_phase import FlowDiverged
 
 if TYPE_CHECKING:

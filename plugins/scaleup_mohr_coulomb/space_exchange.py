@@ -8,10 +8,11 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from .block_solver import Numbering, PositiveSystem
 from .element_lattice import TIMES, WEIGHTS, inside_triangle
 from .element_matrix import ElementMatrix
 from .element_shapes import ElementShapes
+from .positive_system import PositiveSystem
+from .shared_matrix import Numbering
 from .space_level_set import EDGES, SpaceLevelSet
 from .surface_transport import Transport
 
@@ -57,7 +58,6 @@ class FaceFluxes:
         areas = np.linalg.norm(normal, axis=-1)
         self._areas = areas.sum(axis=2)
         self._parts = areas / self._areas[..., None]
-        self._whole = self._areas.sum(axis=1)
 
         space = ngs.FacetFESpace(mesh, order=0)
         self._numbering = Numbering(space)
@@ -65,27 +65,32 @@ class FaceFluxes:
         ends = np.bincount(self._faces.ravel(), minlength=space.ndof)
         inner = self._numbering.completed(ends)[self._faces] == 2.0
         self._normals = normal * (signs * inner[..., None])[..., None]
-        matrix = ElementMatrix(self._faces, space.ndof)
-        a = self._areas
-        matrix.blocks[:] = -a[:, :, None] * a[:, None, :] / self._whole[:, None, None]
-        face = np.arange(4)
-        matrix.blocks[:, face, face] += (1.0 + _TIE) * a
-        self._system = PositiveSystem(matrix.share, self._numbering, "hypre")
-        self._system.update()
+        self._matrix = ElementMatrix(self._faces, space.ndof)
+        self._system = PositiveSystem(self._matrix.share, self._numbering, "hypre")
         self._potential = np.zeros(space.ndof)
+        self.balance(np.ones(mesh.ne, dtype=bool))
+
+    def balance(self, wanted: NDArray[Any]) -> None:
+        """Balance elements ``wanted`` (flags), from now on; others give and take.  Collective."""
+        self._per_area = np.where(wanted, 1.0 / self._areas.sum(axis=1), 0.0)
+        a = self._areas
+        self._matrix.blocks[:] = -a[:, :, None] * a[:, None, :] * self._per_area[:, None, None]
+        face = np.arange(4)
+        self._matrix.blocks[:, face, face] += (1.0 + _TIE) * a
+        self._system.update()
 
     def of(self, velocity: NDArray[Any]) -> NDArray[Any]:
         """(n_elements, 4, 4) of a velocity with these values (n_nodes, 3) at the nodes."""
         mean = velocity[self.nodes].mean(axis=-2)
         quarters = (mean * self._normals).sum(axis=-1)
         flux = quarters.sum(axis=2)
-        gain = (flux.sum(axis=1) / self._whole)[:, None]
+        gain = (flux.sum(axis=1) * self._per_area)[:, None]
         load = np.bincount(
             self._faces.ravel(), (self._areas * gain - flux).ravel(), len(self._potential)
         )
         self._potential = self._system.solve(load, self._potential)
         mu = self._potential[self._faces]
-        average = (self._areas * mu).sum(axis=1) / self._whole
+        average = (self._areas * mu).sum(axis=1) * self._per_area
         change = self._areas * (mu - average[:, None] - gain)
         balanced: NDArray[Any] = quarters + self._parts * change[..., None]
         return balanced
@@ -118,7 +123,7 @@ class ExchangingTransport:
         """``velocity`` is a coefficient function, ``time_step`` an ngs.Parameter, s."""
         self._level_set, self._time_step = level_set, time_step
         self._transport = Transport(level_set, velocity, time_step, shapes)
-        self._fluxes = FaceFluxes(level_set)
+        self.fluxes = FaceFluxes(level_set)
 
     def step(self, velocity: NDArray[Any]) -> None:
         """Replace phi^n by phi^{n+1}; ``velocity`` (n_nodes, 3) in m/s is that of mid-step."""
@@ -127,11 +132,11 @@ class ExchangingTransport:
         held = level_set.element_volumes()
         self._transport.step()
         after = level_set.nodal(level_set.field.vec.FV().NumPy())
-        fluxes = self._fluxes.of(velocity)
+        fluxes = self.fluxes.of(velocity)
         both = np.concatenate([before[level_set.elements], after[level_set.elements]], axis=1)
         cut = (both.min(axis=1) <= 0.0) & (both.max(axis=1) > 0.0)
         outflow = np.zeros(len(held))
-        nodes = self._fluxes.nodes[cut]
+        nodes = self.fluxes.nodes[cut]
         for time, weight in zip(TIMES, WEIGHTS, strict=True):
             values = ((1.0 - time) * before + time * after)[nodes]
             outflow[cut] += weight * (inside_triangle(values) * fluxes[cut]).sum(axis=(1, 2))

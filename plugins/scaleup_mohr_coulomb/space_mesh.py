@@ -16,40 +16,28 @@ _GRADING = 0.5
 _FLAT = 1e-5  # of the vessel's extent: a face no thicker lies in a plane
 
 
-def distributed(build: Callable[[], Any], comm: Any, geometry: Any = None) -> Any:
-    """The NGSolve mesh of the netgen mesh that ``build`` makes, on all ranks of ``comm``.
-
-    The first rank makes it and, if there are others, keeps none of its elements (NGSolve's rule).
-    Each of the others needs the netgen ``geometry`` if the mesh is to be curved: it is not sent.
-    """
-    ngs.SetNumThreads(1)
-    if comm.size == 1:
-        return ngs.Mesh(build())
-    kept: list[Any] = []
-    on_root(comm, lambda: kept.append(build()))
-    if comm.rank == 0:
-        return ngs.Mesh(kept[0].Distribute(comm))
-    part = netgen.meshing.Mesh.Receive(comm)
-    if geometry is not None:
-        part.SetGeometry(geometry)
-    return ngs.Mesh(part)
-
-
 def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any, mirrored: bool) -> Any:
     """Tetrahedra of ``size`` (m) in the netgen OCC ``solid()``; curved walls to second order.
 
-    Of a ``mirrored`` vessel only the half at z > 0 is meshed, bounded by its WALL and a plane.
+    Of a ``mirrored`` vessel only the half at z > 0 is meshed, bounded by its WALL and a plane.  On
+    several ranks the first makes the mesh and, up to NGSolve 6.2.2608, keeps none of its elements.
     """
+    ngs.SetNumThreads(1)
 
     def shape() -> Any:
         return OCCGeometry(_upper_half(solid()) if mirrored else solid())
 
     geometry = on_each(comm, shape)
-
-    def build() -> Any:
-        return geometry.GenerateMesh(maxh=size, grading=_GRADING)
-
-    return distributed(build, comm, geometry).Curve(2)
+    made: list[Any] = []
+    on_root(comm, lambda: made.append(geometry.GenerateMesh(maxh=size, grading=_GRADING)))
+    if comm.size == 1:
+        part = made[0]
+    elif comm.rank == 0:
+        part = made[0].Distribute(comm)
+    else:
+        part = netgen.meshing.Mesh.Receive(comm)
+        part.SetGeometry(geometry)  # which is not sent
+    return ngs.Mesh(part).Curve(2)
 
 
 def _upper_half(solid: Any) -> Any:

@@ -8,8 +8,9 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from .block_solver import Numbering, PositiveSystem
 from .element_matrix import ElementMatrix
+from .positive_system import PositiveSystem
+from .shared_matrix import Numbering
 
 # Missing volume, in cubes of the spread, that is none.
 _ROUND_OFF = 1e-12

@@ -19,15 +19,18 @@ class VelocityTerms:
     """Matrix and load of the integrals over elements.
 
         int rho/dt u.v + dt/2 rho (U.grad u).(U.grad v) + 2 eta E(u):grad v + k div u div v,
-        int rho (f + U/dt - U.grad U).v,
+        int [rho_f f + rho (U/dt - U.grad U)].v,
 
-    U being the velocity of the step before, f the body force and k a grad-div factor.
+    U being the velocity of the step before, f the force per mass on a density rho_f and k a
+    grad-div factor.
     ``space`` is that of the velocity, the first in a product space whose form's ``matrix`` (an
-    NGSolve sparse matrix) has the entries that elements couple.
+    NGSolve sparse matrix) has the entries that elements couple.  Only elements ``wanted`` (flags)
+    add to them.
     """
 
     def __init__(self, space: Any, matrix: Any, shapes: ElementShapes) -> None:
         self._shapes, self._matrix = shapes, matrix
+        self.wanted = np.ones(shapes.count, dtype=bool)
         self._dofs = element_dofs(space, shapes.dimension)
         _, columns, starts = (np.asarray(part).astype(np.int64) for part in matrix.CSR())
         width = len(starts)
@@ -40,6 +43,7 @@ class VelocityTerms:
         self,
         load: NDArray[Any],
         density: NDArray[Any],
+        forced_density: NDArray[Any],
         viscosity: NDArray[Any],
         grad_div: NDArray[Any] | None,
         velocity: NDArray[Any],
@@ -48,14 +52,14 @@ class VelocityTerms:
     ) -> None:
         """Add to the matrix's entries and to the ``load`` (n_unknowns,).
 
-        ``density``, ``viscosity`` and ``grad_div`` (n_elements, q) are at the points;
-        ``velocity`` holds the coefficients of U.
+        ``density`` rho, ``forced_density`` rho_f, ``viscosity`` and ``grad_div`` (n_elements, q)
+        are at the points; ``velocity`` holds the coefficients of U.
         """
         shapes, dim = self._shapes, self._shapes.dimension
         entries = self._matrix.AsVector().FV().NumPy()
         old = velocity[self._dofs].reshape(shapes.count, dim, shapes.values.shape[1])
         values = shapes.values
-        for some, slopes in shapes.chunks():
+        for some, slopes in shapes.chunks(self.wanted):
             weight, rho = shapes.weights[some], density[some]
             speed = np.matmul(values, old[some].transpose(0, 2, 1))
             along = np.matmul(slopes, speed[..., None])[..., 0]
@@ -75,8 +79,9 @@ class VelocityTerms:
             _add_at(entries, self._places[some].ravel(), blocks.ravel())
 
             convected = np.matmul(along, old[some].transpose(0, 2, 1))
-            gain = force(shapes.points[some], speed) + speed / time_step - convected
-            push = (weight * rho)[..., None] * gain
+            push = (weight * rho)[..., None] * (speed / time_step - convected)
+            forced = (weight * forced_density[some])[..., None]
+            push += forced * force(shapes.points[some], speed)
             loads = np.matmul(push.transpose(0, 2, 1), values)
             _add_at(load, self._dofs[some].ravel(), loads.ravel())
 

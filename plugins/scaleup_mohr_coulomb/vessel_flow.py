@@ -31,6 +31,9 @@ from .two_phase import FlowDiverged
 from .viscosity import Viscosity
 
 _FIELDS = ("solution", "level_set", "viscosity")
+# Air is solved for where it is nearer to the bed than the second, which is found anew once the bed
+# has come as near as the first to air that is not; both in element sizes.
+_NEAR, _FAR = 2.0, 3.0
 
 
 class VesselFlow:
@@ -64,6 +67,7 @@ class VesselFlow:
         self.speed, self.phase = speed, start
         self.volume = 0.5 * volume if mirrored else volume
         self.steps = self.iterations = 0
+        self._active = np.ones(mesh.ne, dtype=bool)
         self.volume_moved = 0.0
         self._fastest = speed * geometry.reach + math.sqrt(4.0 * gravity * geometry.reach)
 
@@ -131,11 +135,13 @@ class VesselFlow:
     def step(self, length: float) -> None:
         """Advance by ``length`` (s).
 
-        1. Filter shear rate and pressure, update the viscosity; 2. turn gravity to the end of the
-        step, solve for velocity and pressure, the latter zero on average in the air; 3. move the
-        level set, restore the bed's volume by a uniform shift of its surface.
+        1. Let the air that is solved for follow the bed; 2. filter shear rate and pressure, update
+        the viscosity; 3. turn gravity to the end of the step, solve for velocity and pressure, the
+        latter zero on average in the air; 4. move the level set, restore the bed's volume by a
+        uniform shift of its surface.
         """
         self._step_length.Set(length)
+        self._follow_bed()
         self.phase += self.speed * length
         self._viscosity.update()
         self._momentum.step()
@@ -152,6 +158,18 @@ class VesselFlow:
         missing = self.level_set.restore_volume(self.volume)
         self.volume_moved += abs(missing) / self.volume
         self.steps += 1
+
+    def _follow_bed(self) -> None:
+        """Let momentum be solved for in the bed and in the air about it alone."""
+        level_set, size = self.level_set, self.numerics.fine_size
+        depth = level_set.nodal(level_set.field.vec.FV().NumPy())[level_set.elements].max(axis=1)
+        left_out = bool((~self._active & (depth > -_NEAR * size)).any())
+        if self._comm.allreduce(left_out or not self.steps):
+            self._restrict(depth > -_FAR * size)
+
+    def _restrict(self, active: NDArray[Any]) -> None:
+        self._active = active
+        self._transport.fluxes.balance(self._momentum.restrict(active))
 
     def surface_angle(self) -> float:
         """Inclination (rad) in the lab of the plane nearest to the surface, which is seen along
@@ -185,6 +203,7 @@ class VesselFlow:
     def state(self) -> dict[str, NDArray[Any]]:
         """All that :meth:`restore` needs to go on from here; this rank's part."""
         values = {name: data.copy() for name, data in self._arrays().items()}
+        values["active"] = self._active.copy()
         values["counters"] = np.array([self.phase, self.steps, self.iterations, self.volume_moved])
         return values
 
@@ -192,6 +211,7 @@ class VesselFlow:
         """Go on from a :meth:`state`."""
         for name, data in self._arrays().items():
             data[:] = state[name]
+        self._restrict(state["active"].astype(bool))
         self.phase, steps, iterations, self.volume_moved = state["counters"].tolist()
         self.steps, self.iterations = int(steps), int(iterations)
 

@@ -2,22 +2,6 @@
 
 import pytest
 
-BAGNOLD = """
-from scaleup import parallel
-comm = parallel.start()
-from bagnold import bagnold_error
-error = bagnold_error(3, 3, comm=comm)
-if comm.rank == 0:
-    print(repr(error))
-"""
-
-
-def test_bagnold_flow_in_space_is_the_same_on_two_ranks(on_ranks):
-    one, two = (float(on_ranks(ranks, BAGNOLD)) for ranks in (1, 2))
-    assert one < 0.005
-    assert two == pytest.approx(one, rel=1e-6)
-
-
 VESSEL = """
 import ngsolve as ngs
 from scaleup import parallel
@@ -34,7 +18,7 @@ if comm.rank == 0:
 
 
 def test_a_vessels_flow_is_the_same_on_one_two_and_three_ranks(on_ranks):
-    """Two ranks hand the mesh to the second; three share it between the second and the third."""
+    """NGSolve up to 6.2.2608 gives the first rank nothing: the second has all, or shares it."""
     one, two, three = (
         [float(word) for word in on_ranks(ranks, VESSEL).split()] for ranks in (1, 2, 3)
     )

@@ -114,6 +114,21 @@ def test_a_bed_above_its_friction_angle_avalanches():
     assert flow.volume_moved < 1e-5  # by elements that exchange what they lose
 
 
+def test_air_far_from_the_bed_does_not_matter(monkeypatch):
+    """An avalanche with all of the air, and with that within three elements of the bed alone."""
+    part = drum_flow(COMM, size=0.014, tilt=40.0, speed=0.0, mirrored=True)
+    whole = drum_flow(COMM, size=0.014, tilt=40.0, speed=0.0, mirrored=True)
+    for _ in range(6):
+        part.step(0.01)
+    monkeypatch.setattr("scaleup_mohr_coulomb.vessel_flow._FAR", math.inf)
+    for _ in range(6):
+        whole.step(0.01)
+    at_rest = np.linalg.norm(part.velocity.vec.FV().NumPy().reshape(3, -1), axis=0) == 0.0
+    assert at_rest.mean() > 0.15
+    assert mean_speed(part) == pytest.approx(mean_speed(whole), rel=0.01)
+    assert part.surface_angle() == pytest.approx(whole.surface_angle(), abs=math.radians(0.1))
+
+
 def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole():
     """An avalanche in both, to the difference of two meshes; no powder crosses the plane."""
     whole, half = (drum_flow(COMM, tilt=40.0, speed=0.0, mirrored=m) for m in (False, True))

@@ -49,6 +49,7 @@ def test_momentum_matrix_and_load(mesh):
     (u, _), (v, _) = space.TnT()
     old = random(space.components[0], 1)
     rho, eta, factor = 2.0 + ngs.x, 1.0 + ngs.y * ngs.y, 3.0 + ngs.x * ngs.y
+    forced = 1.0 + ngs.x
     force = (ngs.x + old[1], 2.0 * old[0], 0.5)[: mesh.dim]
     strain_rate = ngs.Sym(ngs.Grad(u))
     expected, load = ngs.BilinearForm(space), ngs.LinearForm(space)
@@ -58,8 +59,8 @@ def test_momentum_matrix_and_load(mesh):
         + 2.0 * eta * ngs.InnerProduct(strain_rate, ngs.Grad(v))
         + factor * ngs.div(u) * ngs.div(v)
     ) * same_quadrature()
-    gain = ngs.CoefficientFunction(force) + old / TIME_STEP - ngs.Grad(old) * old
-    load += rho * ngs.InnerProduct(gain, v) * same_quadrature()
+    push = forced * ngs.CoefficientFunction(force) + rho * (old / TIME_STEP - ngs.Grad(old) * old)
+    load += ngs.InnerProduct(push, v) * same_quadrature()
     expected.Assemble()
     load.Assemble()
 
@@ -75,7 +76,7 @@ def test_momentum_matrix_and_load(mesh):
 
     VelocityTerms(space.components[0], empty.mat, shapes).add(
         found,
-        *(shapes.sampled(ngs.CoefficientFunction(c)) for c in (rho, eta, factor)),
+        *(shapes.sampled(ngs.CoefficientFunction(c)) for c in (rho, forced, eta, factor)),
         old.vec.FV().NumPy(),
         TIME_STEP,
         acceleration,
