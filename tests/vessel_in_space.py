@@ -17,7 +17,7 @@ def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, mirrored=False, *
     config = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
     geometry, volume = config.plugin("geometry"), fill_volume(config)
     numerics = Discretisation.by_rule(
-        config.material, Drive(1.0, NOMINAL_SPEED), geometry.reach, size, size, 0.01, size / 3
+        config.material, Drive(1.0, NOMINAL_SPEED), geometry.reach, size, size, 0.01, size / 4
     )
     return VesselFlow(
         geometry,
