@@ -46,7 +46,7 @@ class MohrCoulomb:
         coarse_size: units.Length | None = None
         """m, element size elsewhere; default reach/9; not in space"""
         time_step: units.Time | None = None
-        """s; default sqrt(reach/g)/10, in space sqrt(reach/g)/8"""
+        """s; default sqrt(reach/g)/10, at most 1/(150 omega); in space sqrt(reach/g)/8"""
         filter_length: units.Length | None = None
         """m, non-local length of shear rate and pressure; default d/sqrt(8), or reach/108 if
         that is more; in space at least fine_size/3"""

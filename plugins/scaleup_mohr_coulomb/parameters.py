@@ -90,7 +90,8 @@ class Discretisation:
     """Inclination of the bed at time 0, rad.  Rule: 3/4 of the friction angle.  A level bed turns
     rigidly with the vessel until it yields, so that starting nearer to yield only saves time."""
     time_step: float
-    """Time step dt, s.  Rule: sqrt(R/g)/10; the bed's swings last about 9 sqrt(R/g)."""
+    """Time step dt, s.  Rule: sqrt(R/g)/10, as the bed's swings last about 9 sqrt(R/g), and at most
+    1/(150 omega), a fifth over the greatest shear rate of a rolling layer, some 30 omega."""
     filter_length: float
     """Non-local length l of shear rate and pressure, m.  Rule: d/sqrt(8), or R/108 if that is more.
 
@@ -152,7 +153,7 @@ class Discretisation:
         density = material.bulk_density
         viscosity_scale = density * math.sqrt(gravity * radius**3)
         fall_time = math.sqrt(radius / gravity)
-        time_step = time_step or fall_time / 10.0
+        time_step = time_step or min(fall_time / 10.0, 1.0 / (150.0 * omega))
         filter_length = filter_length or max(grain_filter(material), radius / 108.0)
         fine_size = fine_size or min(radius / 24.0, max(4.0 * filter_length, radius / 27.0))
         return cls(
