@@ -49,7 +49,7 @@ class MohrCoulomb:
         """s; default sqrt(reach/g)/10, at most 1/(150 omega); in space sqrt(reach/g)/8"""
         filter_length: units.Length | None = None
         """m, non-local length of shear rate and pressure; default d/sqrt(8), or reach/108 if
-        that is more; in space at least fine_size/3"""
+        that is more; in space at least fine_size/4"""
         predictor_length: units.Length | None = None
         """m, over which stress beyond yield accelerates powder; default 0.07 reach"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
