@@ -155,7 +155,7 @@ class TwoPhaseFlow:
         limit = wall_speed + math.sqrt(4.0 * self.drive.gravity * self.radius)
         if not speed < limit:
             raise FlowDiverged(
-                f"The powder reached {speed:.3g} m/s at t = {self.time:.4g} s (step {self.steps}), "
+                f"The flow reached {speed:.3g} m/s at t = {self.time:.4g} s (step {self.steps}), "
                 f"beyond the {limit:.3g} m/s of a free fall across the vessel: halve the time step "
                 f"({self.time_step:.3g} s) or the filter length "
                 f"({self.discretisation.filter_length:.3g} m)."
