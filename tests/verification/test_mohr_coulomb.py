@@ -296,8 +296,8 @@ def test_constant_friction_converges_with_a_length_and_not_without():
     """It is ill-posed: with a length held under refinement the flow that follows the first
     avalanche converges; with one that shrinks with the mesh shear is faster on every finer one.
 
-    The shear rate, weighted with itself, of elements of 8, 5.6, 4 and 2.8 mm: 7.3, 7.7, 8.0, 7.7 /s
-    with a length of 2 mm, 4.8, 9.0, 20.9, 34.4 with a third of the element.
+    The shear rate, weighted with itself, of elements of 8, 5.6, 4 and 2.8 mm: 7.7, 8.2, 8.5, 8.6 /s
+    with a length of 2 mm, 5.0, 9.6, 23.4, 37.6 with a third of the element.
     """
 
     def shear_rate(size: float, length: float) -> float:
@@ -465,7 +465,7 @@ def test_the_filter_is_half_a_grain_or_numerical_and_never_the_mesh(
     [
         (0.0029, 0.6, 0.98, []),
         (0.006, 0.6, 0.98, ["do not see the filter length of 1 mm"]),
-        (0.0029, 3.0, 0.98, ["beyond 0.05 a bed cascades"]),
+        (0.0029, 3.0, 0.98, ["beyond 0.03 a bed cascades"]),
         (0.0029, 0.6, 0.05, ["it slides on the wall"]),
     ],
 )
