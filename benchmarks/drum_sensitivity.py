@@ -76,6 +76,8 @@ CASES = {
     "slip speed x 4": factor("slip_speed", 4.0),
     "interface x 1/2": factor("interface_half_width", 0.5),
     "interface x 2": factor("interface_half_width", 2.0),
+    "air density x 1/10": factor("air_density", 0.1),
+    "air viscosity x 1/10": factor("air_viscosity", 0.1),
     "filter x 2": Case(filter_length=2 * L),
     "filter of half a grain, h = 1.4 mm": Case(
         fine_size=4 * GRAIN / math.sqrt(8), filter_length=GRAIN / math.sqrt(8)

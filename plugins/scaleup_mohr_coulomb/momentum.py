@@ -4,7 +4,8 @@
     rho = alpha rho_powder + (1 - alpha) rho_air,
     eta = alpha max(eta_powder, eta_air) + (1 - alpha) eta_air,    E(u) = (grad u + grad u^T)/2.
 
-The air's weight is left to its hydrostatic pressure, which p leaves out.
+The air's weight is left to its hydrostatic pressure, which p leaves out: it vanishes at a free
+surface.
 
 At the wall u.n = 0 and the powder slides with Coulomb friction against the wall's velocity w,
 t = -mu_w p (u_t - w_t)/sqrt(|u_t - w_t|^2 + v_e^2); elsewhere the boundary is free of stress.
