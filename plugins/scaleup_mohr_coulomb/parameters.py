@@ -118,7 +118,7 @@ class Discretisation:
     """Speed v_e that regularises Coulomb friction at the wall, m/s.  Rule: 1 % of omega R."""
     interface_half_width: float
     """Half width W of the smoothed powder-air interface, m.  Rule: h/2, the distance of the
-    level set's nodes.  An interface of h blurs the surface: a drum's is then 40 % faster than
+    level set's nodes.  An interface of h blurs the surface: a drum's is then 47 % faster than
     what refinement converges to, and columns run up to a quarter farther."""
     air_density: float
     """Density of the light phase, kg/m^3.  Rule: 1/500 of the powder's."""
