@@ -133,15 +133,20 @@ def test_air_far_from_the_bed_does_not_matter(monkeypatch):
 
 
 def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole():
-    """An avalanche in both, to the difference of two meshes; no powder crosses the plane."""
-    whole, half = (drum_flow(COMM, tilt=40.0, speed=0.0, mirrored=m) for m in (False, True))
-    assert half.unknowns < 0.6 * whole.unknowns
+    """An avalanche in both, to the difference of two meshes; no powder crosses the plane.
+
+    Speeds on two meshes of 10 mm differ by 2 %, of 14 or 20 mm by up to 20 %.
+    """
+    whole, half = (
+        drum_flow(COMM, size=0.01, tilt=40.0, speed=0.0, mirrored=m) for m in (False, True)
+    )
+    assert half.unknowns < 0.7 * whole.unknowns
     assert half.volume == pytest.approx(0.5 * whole.volume)
     for flow in (whole, half):
         for _ in range(10):
             flow.step(0.01)
     assert mean_speed(half) == pytest.approx(mean_speed(whole), rel=0.1)
-    assert half.surface_angle() == pytest.approx(whole.surface_angle(), abs=math.radians(0.6))
+    assert half.surface_angle() == pytest.approx(whole.surface_angle(), abs=math.radians(0.3))
     plane = half.mesh.Boundaries("mirror")
     across = ngs.Integrate(half.velocity[2] ** 2, half.mesh, definedon=plane)
     along = ngs.Integrate(half.velocity * half.velocity, half.mesh, definedon=plane)
