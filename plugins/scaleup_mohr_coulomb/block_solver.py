@@ -60,18 +60,18 @@ class BlockSolver:
         ).Compile() * ngs.dx
         self._mass.Assemble()
         self._laplacian.Assemble()
-        self._system = _BlockSystem(form, self._mass, self._laplacian, pressure_unit)
+        self._set_up()
+        self.iterations = 0
+
+    def _set_up(self, *nodes: NDArray[Any]) -> None:
+        self._system = _BlockSystem(self._form, self._mass, self._laplacian, self._unit, *nodes)
         # a solver that calls Python must be gone before PETSc ends, which is after Python's exit
         self._end = weakref.finalize(self, self._system.destroy)
-        self.iterations = 0
 
     def restrict(self, velocity_nodes: NDArray[Any], pressure_nodes: NDArray[Any]) -> None:
         """Solve from now on for these nodes (flags) alone, equal on all ranks that share one."""
         self._end()
-        self._system = _BlockSystem(
-            self._form, self._mass, self._laplacian, self._unit, velocity_nodes, pressure_nodes
-        )
-        self._end = weakref.finalize(self, self._system.destroy)
+        self._set_up(velocity_nodes, pressure_nodes)
 
     def update(self) -> None:
         """Follow the matrix, the viscosity and the time step as they stand."""

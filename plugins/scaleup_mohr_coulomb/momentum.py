@@ -132,9 +132,6 @@ class Momentum:
         self._materials = ngs.CoefficientFunction((rho, eta)).Compile()
         self._air_density = numerics.air_density
         self._fraction = alpha
-        self._vertices = element_dofs(space.components[1])
-        self._nodes = element_dofs(space.components[0], mesh.dim)[:, : shapes.values.shape[1]]
-        self._numberings = tuple(Numbering(ngs.H1(mesh, order=order)) for order in (2, 1))
         self._grad_div = numerics.grad_div
         self._solver: Any
         if mesh.dim == 2:
@@ -142,6 +139,9 @@ class Momentum:
         else:
             unit = material.bulk_density * numerics.fine_size / numerics.time_step
             self._solver = BlockSolver(self._matrix, eta, rho, dt, unit)
+            self._nodes = self._within.dofs[:, : shapes.values.shape[1]]
+            self._vertices = element_dofs(space.components[1])
+            self._numberings = tuple(Numbering(ngs.H1(mesh, order=order)) for order in (2, 1))
 
     @property
     def iterations(self) -> int:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scaleup_mohr_coulomb.mid_bed import MidBed
     from scaleup_mohr_coulomb.steady import SteadyBed
 
-_CASCADING = 0.03
+_CASCADING = 0.03  # Froude number beyond which grains begin to leave the bed's surface
 _SLIDING = 0.8  # rotation of the bed over the vessel's below which it no longer rolls
 _RESOLVED = 4.0  # element size over filter length beyond which the filter does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is

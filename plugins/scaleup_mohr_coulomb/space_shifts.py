@@ -40,21 +40,13 @@ class SpaceShifts:
         """At all vertices (n_vertices,), m; ``missing`` (n,) in m^3, ``areas`` (n, 4) in m^2."""
         tie = 0.25 * self._spread**2
         wanting = (np.abs(missing) > _ROUND_OFF * self._spread**3) | areas.any(axis=1)
-        near = self._at_vertices(wanting)[self._elements].any(axis=1)
-        apart = self._at_vertices(near)[self._elements] == 0.0
+        touched = self._numbering.touched
+        near = touched(self._elements, wanting)[self._elements].any(axis=1)
+        apart = ~touched(self._elements, near)[self._elements]
         blocks, corner = self._matrix.blocks, np.arange(4)
         blocks[:] = np.where(near, -tie, 0.0)[:, None, None]
         blocks[:, corner, corner] = np.where(near[:, None], areas + (3.0 + _TIE) * tie, tie * apart)
         self._system.update()
-        wanted = self._around(np.where(near, 0.25 * missing, 0.0))
+        shares = np.repeat(np.where(near, 0.25 * missing, 0.0), 4)
+        wanted = np.bincount(self._elements.ravel(), shares, len(self._numbering.ids))
         return self._system.solve(wanted, np.zeros(len(wanted)))
-
-    def _around(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Sums of this rank's elements' ``values`` about each vertex."""
-        count = len(self._numbering.ids)
-        here: NDArray[Any] = np.bincount(self._elements.ravel(), np.repeat(values, 4), count)
-        return here
-
-    def _at_vertices(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Sums of elements' ``values`` about each vertex, whichever rank holds them."""
-        return self._numbering.completed(self._around(values))

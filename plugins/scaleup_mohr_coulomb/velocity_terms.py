@@ -25,17 +25,17 @@ class VelocityTerms:
     grad-div factor.
     ``space`` is that of the velocity, the first in a product space whose form's ``matrix`` (an
     NGSolve sparse matrix) has the entries that elements couple.  Only elements ``wanted`` (flags)
-    add to them.
+    add to them.  ``dofs`` (n_elements, dimension k) are the numbers of elements' unknowns.
     """
 
     def __init__(self, space: Any, matrix: Any, shapes: ElementShapes) -> None:
         self._shapes, self._matrix = shapes, matrix
         self.wanted = np.ones(shapes.count, dtype=bool)
-        self._dofs = element_dofs(space, shapes.dimension)
+        self.dofs = element_dofs(space, shapes.dimension)
         _, columns, starts = (np.asarray(part).astype(np.int64) for part in matrix.CSR())
         width = len(starts)
         keys = np.repeat(np.arange(len(starts) - 1), np.diff(starts)) * width + columns
-        dofs = self._dofs
+        dofs = self.dofs
         wanted = dofs[:, :, None] * width + dofs[:, None, :]
         self._places = np.searchsorted(keys, wanted.ravel()).astype(np.int32).reshape(wanted.shape)
 
@@ -57,7 +57,7 @@ class VelocityTerms:
         """
         shapes, dim = self._shapes, self._shapes.dimension
         entries = self._matrix.AsVector().FV().NumPy()
-        old = velocity[self._dofs].reshape(shapes.count, dim, shapes.values.shape[1])
+        old = velocity[self.dofs].reshape(shapes.count, dim, shapes.values.shape[1])
         values = shapes.values
         for some, slopes in shapes.chunks(self.wanted):
             weight, rho = shapes.weights[some], density[some]
@@ -83,7 +83,7 @@ class VelocityTerms:
             forced = (weight * forced_density[some])[..., None]
             push += forced * force(shapes.points[some], speed)
             loads = np.matmul(push.transpose(0, 2, 1), values)
-            _add_at(load, self._dofs[some].ravel(), loads.ravel())
+            _add_at(load, self.dofs[some].ravel(), loads.ravel())
 
 
 def _strained(factor: NDArray[Any], slopes: NDArray[Any]) -> NDArray[Any]:
