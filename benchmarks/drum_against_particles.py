@@ -1,10 +1,11 @@
 """The paper's drum with 2 mm grains, by each rheology, beside a particle simulation of it.
 
 Surface angle and shape, active layer, surface speed and the streamwise velocity at mid-bed, for the
-three rheologies with the filter length of half a grain (0.71 mm, elements of 2.8 mm, the defaults),
-and for constant friction with finer elements, half and twice the filter length and the predictor
-length. Nothing is fitted. Results are kept in a JSON file, so that the study goes on where it
-stopped; one solve takes some minutes.
+three rheologies with the non-local length of the grains (1.45 mm, elements of 2.9 mm: defaults),
+mu(I) with all constants of glass beads from the literature, and constant friction with finer
+elements, half and twice the non-local length, and other predictor lengths. Nothing is fitted.
+Results are kept in a JSON file, so that the study goes on where it stopped; one solve takes about a
+minute.
 
     python benchmarks/drum_against_particles.py --reference reference.json [--output DIR] [CASE ...]
 
@@ -37,13 +38,14 @@ BASE = ("material.grain_diameter=2 mm",)
 CASES = {
     "mohr-coulomb": (),
     "mohr-coulomb, h = 2 mm": ("flow.fine_size=2 mm",),
-    "mohr-coulomb, h = 1.4 mm": ("flow.fine_size=1.4 mm",),
+    "mohr-coulomb, h = 1.5 mm": ("flow.fine_size=1.46 mm",),
     "mu-i": ("flow.rheology=mu-i",),
+    "mu-i, glass beads": ("flow.rheology=mu-i", "material.friction_angle=20.9 deg"),
     "regularised-mu-i": ("flow.rheology=regularised-mu-i",),
-    "filter x 1/2": ("flow.filter_length=0.3536 mm", "flow.fine_size=1.4 mm"),
-    "filter x 2": ("flow.filter_length=1.4142 mm", "flow.fine_size=2.8 mm"),
-    "predictor x 1/2": ("flow.predictor_length=2.45 mm",),
-    "predictor x 2": ("flow.predictor_length=9.8 mm",),
+    "l x 1/2": ("flow.nonlocal_length=0.726 mm",),
+    "l x 2": ("flow.nonlocal_length=2.904 mm",),
+    "predictor x 0.7": ("flow.predictor_length=5 mm",),
+    "predictor x 1.4": ("flow.predictor_length=10 mm",),
 }
 COMPARED = (1e-3, 12e-3)  # m of depth
 

@@ -1,9 +1,9 @@
 """The paper's drum by `mohr-coulomb`: what its mean bed owes to each numerical parameter and input.
 
-One change at a time from the base (grains of 1 mm, elements of R/27, filter length R/108, the rules
-of `parameters.py`), beside refinement with the filter length held and with a filter that shrinks
-with the mesh, the wall's friction, the rheologies and the speed. A case that cannot be solved says
-why. Every result is kept in a file of its own, so that the study goes on where it stopped.
+One change at a time from the base (grains of 1 mm with their non-local length, elements of R/24,
+the rules of `parameters.py`), beside refinement with the length held and with one that shrinks with
+the mesh, the wall's friction, the rheologies and the speed. A case that cannot be solved says why.
+Every result is kept in a file of its own, so that the study goes on where it stopped.
 
     python benchmarks/drum_sensitivity.py [--output DIR] [CASE ...]
 """
@@ -35,8 +35,8 @@ from scaleup_mohr_coulomb.swings import SwingAverage
 from scaleup_mohr_coulomb.two_phase import FlowDiverged, TwoPhaseFlow
 
 RADIUS = 0.07
-H, L = RADIUS / 27, RADIUS / 108  # m; the base's elements and filter length
 GRAIN = 1e-3  # m
+H, L = RADIUS / 24, 0.48 * GRAIN / math.sqrt(math.tan(math.radians(23.6)))  # m, of the base
 TIME_LIMIT = 140.0  # sqrt(R/g)
 
 
@@ -46,7 +46,7 @@ class Case:
 
     factors: dict[str, float] = dataclasses.field(default_factory=dict)
     fine_size: float = H
-    filter_length: float = L
+    nonlocal_length: float = L
     material: dict[str, Any] = dataclasses.field(default_factory=dict)
     rheology: str = "mohr-coulomb"
     rpm: float = 6.0
@@ -61,7 +61,10 @@ CASES = {
     "dt x 1/2": factor("time_step", 0.5),
     "dt x 2": factor("time_step", 2.0),
     "dt x 4": factor("time_step", 4.0),
+    "predictor length x 0.35": factor("predictor_length", 0.35),
     "predictor length x 1/2": factor("predictor_length", 0.5),
+    "predictor length x 0.7": factor("predictor_length", 0.7),
+    "predictor length x 1.4": factor("predictor_length", 1.4),
     "predictor length x 2": factor("predictor_length", 2.0),
     "predictor threshold x 1/2": factor("predictor_threshold", 0.5),
     "predictor threshold x 2": factor("predictor_threshold", 2.0),
@@ -78,20 +81,19 @@ CASES = {
     "interface x 2": factor("interface_half_width", 2.0),
     "air density x 1/10": factor("air_density", 0.1),
     "air viscosity x 1/10": factor("air_viscosity", 0.1),
-    "filter x 2": Case(filter_length=2 * L),
-    "filter of half a grain, h = 1.4 mm": Case(
-        fine_size=4 * GRAIN / math.sqrt(8), filter_length=GRAIN / math.sqrt(8)
-    ),
-    "h = 5.2 mm": Case(fine_size=2 * H),
-    "h = 3.7 mm": Case(fine_size=math.sqrt(2) * H),
-    "h = 1.8 mm": Case(fine_size=H / math.sqrt(2)),
-    "h = 1.3 mm": Case(fine_size=0.5 * H),
-    "h = 0.92 mm": Case(fine_size=H / math.sqrt(8)),
-    "h = 5.2 mm, l = h/4": Case(fine_size=2 * H, filter_length=2 * L),
-    "h = 3.7 mm, l = h/4": Case(fine_size=math.sqrt(2) * H, filter_length=math.sqrt(2) * L),
-    "h = 1.8 mm, l = h/4": Case(fine_size=H / math.sqrt(2), filter_length=L / math.sqrt(2)),
-    "h = 1.3 mm, l = h/4": Case(fine_size=0.5 * H, filter_length=0.5 * L),
-    "no filter": Case(filter_length=0.01 * L),
+    "air viscosity x 10": factor("air_viscosity", 10.0),
+    "air viscosity x 100": factor("air_viscosity", 100.0),
+    "l x 2": Case(nonlocal_length=2 * L),
+    "h = 5.8 mm": Case(fine_size=2 * H),
+    "h = 4.1 mm": Case(fine_size=math.sqrt(2) * H),
+    "h = 2.1 mm": Case(fine_size=H / math.sqrt(2)),
+    "h = 1.5 mm": Case(fine_size=0.5 * H),
+    "h = 1.0 mm": Case(fine_size=H / math.sqrt(8)),
+    "h = 5.8 mm, l = h/4": Case(fine_size=2 * H, nonlocal_length=2 * L),
+    "h = 4.1 mm, l = h/4": Case(fine_size=math.sqrt(2) * H, nonlocal_length=math.sqrt(2) * L),
+    "h = 2.1 mm, l = h/4": Case(fine_size=H / math.sqrt(2), nonlocal_length=L / math.sqrt(2)),
+    "h = 1.5 mm, l = h/4": Case(fine_size=0.5 * H, nonlocal_length=0.5 * L),
+    "no length": Case(nonlocal_length=0.01 * L),
     "wall friction 0.05": Case(material={"wall_friction": 0.05}),
     "wall friction 0.15": Case(material={"wall_friction": 0.15}),
     "wall friction 0.6": Case(material={"wall_friction": 0.6}),
@@ -102,7 +104,9 @@ CASES = {
     "4 rpm": Case(rpm=4.0),
     "10 rpm": Case(rpm=10.0),
     "15 rpm": Case(rpm=15.0),
+    "15 rpm, h = 1.5 mm": Case(fine_size=0.5 * H, rpm=15.0),
     "20 rpm": Case(rpm=20.0),
+    "20 rpm, h = 1.5 mm": Case(fine_size=0.5 * H, rpm=20.0),
     "30 rpm": Case(rpm=30.0),
 }
 
@@ -114,7 +118,7 @@ def solve(name: str, case: Case) -> dict[str, Any]:
     drive = Drive(fill_volume(config) / geometry.depth, case.rpm * math.pi / 30)
 
     def by_rule(time_step: float | None = None) -> Discretisation:
-        sizes = {"fine_size": case.fine_size, "filter_length": case.filter_length}
+        sizes = {"fine_size": case.fine_size, "nonlocal_length": case.nonlocal_length}
         return Discretisation.by_rule(material, drive, RADIUS, time_step=time_step, **sizes)
 
     rules = by_rule()
@@ -186,13 +190,13 @@ def table(results: dict[str, dict[str, Any]]) -> str:
 
 
 def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
-    """Refinement with the filter held and with one that shrinks: angle and greatest shear rate."""
+    """Refinement with the length held and with one that shrinks: angle and greatest shear rate."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
     base = ["base"] if "base" in results else []
     held = [n for n in results if n.startswith("h =") and "l =" not in n] + base
     shrinking = [n for n in results if "l = h/4" in n] + base
     for names, label, colour in (
-        (held, "l = 0.65 mm held", "C0"),
+        (held, "l = 0.73 mm held", "C0"),
         (shrinking, "l = h/4, shrinks with the mesh", "C3"),
     ):
         names = [n for n in names if results[n].get("converged")]

@@ -49,7 +49,7 @@ def bagnold_error(dimension: int, layers: int, time_step: float = 0.3) -> float:
     )
     numerics = replace(
         Discretisation.by_rule(material, Drive(1.0, 0.1, gravity=1.0), 1.0, time_step=time_step),
-        filter_length=0.0,
+        nonlocal_length=0.0,
         creep_rate=1e-6,
         slip_speed=1e-5,
         air_density=0.0,

@@ -16,9 +16,9 @@ def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, mirrored=False, *
     """A flow in a drum of 140 mm by 50 mm that begins with the level bed tilted (deg)."""
     config = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
     geometry, volume = config.plugin("geometry"), fill_volume(config)
-    numerics = Discretisation.by_rule(
-        config.material, Drive(1.0, NOMINAL_SPEED), geometry.reach, size, size, 0.01, size / 4
-    )
+    drive = Drive(1.0, NOMINAL_SPEED)
+    numerics = Discretisation.by_rule(config.material, drive, geometry.reach, size, size, 0.01)
+    numerics = numerics.in_space()
     return VesselFlow(
         geometry,
         vessel_mesh(geometry.solid, size, comm, mirrored),

@@ -41,17 +41,17 @@ class MohrCoulomb:
         """Pa, tension that pulls cohesive powder apart; default (and at most) c cos(phi)/mu"""
 
         fine_size: units.Length | None = None
-        """m, element size about the free surface; default 4 filter_length, from reach/27 to
+        """m, element size about the free surface; default 4 nonlocal_length, from reach/27 to
         reach/24; in space that of all elements, default reach/6"""
         coarse_size: units.Length | None = None
         """m, element size elsewhere; default reach/9; not in space"""
         time_step: units.Time | None = None
         """s; default sqrt(reach/g)/10, at most 1/(150 omega); in space sqrt(reach/g)/8"""
-        filter_length: units.Length | None = None
-        """m, non-local length of shear rate and pressure; default d/sqrt(8), or reach/108 if
-        that is more; in space at least fine_size/4"""
+        nonlocal_length: units.Length | None = None
+        """m, over which flowing grains loosen their neighbours; default 0.48 d/sqrt(mu), or
+        reach/108 if that is more; in space at least fine_size/4"""
         predictor_length: units.Length | None = None
-        """m, over which stress beyond yield accelerates powder; default 0.07 reach"""
+        """m, over which stress beyond yield accelerates powder; default reach/10"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
         """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
         velocity_tolerance: Annotated[float, Field(gt=0)] = 0.02

@@ -2,10 +2,11 @@
 
     rho (du/dt + u.grad u) = -grad p + div(2 eta E(u)) + (rho - rho_air) g,    div u = 0,
     rho = alpha rho_powder + (1 - alpha) rho_air,
-    eta = alpha max(eta_powder, eta_air) + (1 - alpha) eta_air,    E(u) = (grad u + grad u^T)/2.
+    eta = max(eta_powder, eta_air) where alpha > 0, eta_air elsewhere,
+    E(u) = (grad u + grad u^T)/2,
 
-The air's weight is left to its hydrostatic pressure, which p leaves out: it vanishes at a free
-surface.
+with the weight about the surface as in `surface_weight`.  The air's weight is left to its
+hydrostatic pressure, which p leaves out: it vanishes at a free surface.
 
 At the wall u.n = 0 and the powder slides with Coulomb friction against the wall's velocity w,
 t = -mu_w p (u_t - w_t)/sqrt(|u_t - w_t|^2 + v_e^2); elsewhere the boundary is free of stress.
@@ -33,6 +34,7 @@ from .element_shapes import ElementShapes, element_dofs
 from .factors import SymmetricFactors
 from .parameters import Discretisation
 from .shared_matrix import Numbering
+from .surface_weight import SurfaceWeight
 from .velocity_terms import BodyForce, VelocityTerms
 from .viscosity import Viscosity
 
@@ -67,6 +69,7 @@ class Momentum:
         force: BodyForce,
         wall_velocity: Any,
         shapes: ElementShapes,
+        surface_weight: SurfaceWeight | None = None,
         wall: str = ".*",
         rough: str = ".*",
     ) -> None:
@@ -81,7 +84,8 @@ class Momentum:
         bounded = ngs.IfPos(
             viscosity.field - numerics.air_viscosity, viscosity.field, numerics.air_viscosity
         )
-        eta = alpha * bounded + (1.0 - alpha) * numerics.air_viscosity
+        # not weighted by alpha: the powder's viscosity vanishes with its pressure, as alpha does
+        eta = ngs.IfPos(alpha, bounded, numerics.air_viscosity)
 
         def strain_rate(w: Any) -> Any:
             return ngs.Sym(ngs.Grad(w))
@@ -129,6 +133,7 @@ class Momentum:
         self._matrix.Assemble()
         own = self._matrix.mat if mesh.comm.size == 1 else self._matrix.mat.local_mat
         self._within = VelocityTerms(space.components[0], own, shapes)
+        self._surface_weight = surface_weight
         self._materials = ngs.CoefficientFunction((rho, eta)).Compile()
         self._air_density = numerics.air_density
         self._fraction = alpha
@@ -182,5 +187,12 @@ class Momentum:
             self._time_step.Get(),
             self._force,
         )
+        if self._surface_weight is not None:
+            self._surface_weight.add(
+                self._load.vec.FV().NumPy(),
+                self._within.dofs,
+                self._previous.vec.FV().NumPy(),
+                self._force,
+            )
         self._solver.update()
         self._solver.solve(self._load.vec, self._solution.vec)

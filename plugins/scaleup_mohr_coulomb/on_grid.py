@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _CASCADING = 0.03  # Froude number beyond which grains begin to leave the bed's surface
 _SLIDING = 0.8  # rotation of the bed over the vessel's below which it no longer rolls
-_RESOLVED = 4.0  # element size over filter length beyond which the filter does nothing
+_RESOLVED = 4.0  # element size over non-local length beyond which that does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
 
 
@@ -158,7 +158,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "volume_drift": bed.area_correction,
         "velocity_error": bed.velocity_error,
         "velocity_drift_per_revolution": bed.velocity_drift,
-        "filter_length": bed.filter_length,
+        "nonlocal_length": bed.nonlocal_length,
         "ill_posed_share": bed.ill_posed_share,
         "swings_averaged": bed.swings,
         "surface_angle_source": "solved; the error is the scatter between swings",
@@ -194,11 +194,11 @@ def warnings_of(bed: SteadyBed, scene: Scene, rotation_ratio: float) -> tuple[st
             f"the bed turns at {rotation_ratio:.2f} of the vessel's speed below its layer: it "
             "slides on the wall instead of rolling"
         )
-    if bed.fine_size > _RESOLVED * bed.filter_length * (1 + 1e-9):
+    if bed.fine_size > _RESOLVED * bed.nonlocal_length * (1 + 1e-9):
         found.append(
-            f"elements of {1e3 * bed.fine_size:.3g} mm do not see the filter length of "
-            f"{1e3 * bed.filter_length:.3g} mm (at most {_RESOLVED:g} times that would): the layer "
-            "is regularised by the mesh, and changes with it"
+            f"elements of {1e3 * bed.fine_size:.3g} mm do not see the non-local length of "
+            f"{1e3 * bed.nonlocal_length:.3g} mm (at most {_RESOLVED:g} times that would): the "
+            "layer is regularised by the mesh, and changes with it"
         )
     if not bed.converged:
         found.append(

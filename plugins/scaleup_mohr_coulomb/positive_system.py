@@ -39,5 +39,5 @@ class PositiveSystem:
         self._left.setArray(self._numbering.owned(self._numbering.completed(load)))
         self._right.setArray(self._numbering.owned(start))
         self._ksp.solve(self._left, self._right)
-        require_converged(self._ksp, "a filter, a projection or the level set")
+        require_converged(self._ksp, "the fluidity, a projection or the level set")
         return self._numbering.to_local(self._right.getArray())

@@ -2,14 +2,15 @@
 
 A powder flows when the shear stress reaches its strength
 
-    tau_y(g, p) = mu(I) p + c cos(phi),    I = g d / sqrt(p / rho_s),        p >= 0,
-    tau_y(g, p) = c cos(phi) max(1 + p/T, 0),                                p < 0 (tension),
+    tau_y(g, p) = mu(I) P(p),          I = g d / sqrt(p / rho_s),
+    P(p) = p + P0                      p >= 0,
+    P(p) = P0 max(1 + p/T, 0)          p < 0 (tension),          P0 = c cos(phi) / mu_s,
 
 with g = sqrt(2 E:E) the shear rate (1/s), p the pressure (Pa), I the inertial number, d and rho_s
-the grains' diameter and density, c the cohesion (Pa) and T the tensile strength (Pa), beyond which
-powder is pulled apart and carries no shear stress.  Without cohesion it never carries tension.  The
-default T = c cos(phi)/mu(0) continues the line of p >= 0 to its apex; a smaller one cuts it off.
-In coaxial, incompressible flow this is the fluid of viscosity tau_y / g.
+the grains' diameter and density, mu_s the friction of slow flow, c the cohesion (Pa) and T the
+tensile strength (Pa), beyond which powder is pulled apart and carries no shear stress.  Without
+cohesion it never carries tension.  The default T = P0 continues the line of p >= 0 to its apex; a
+smaller one cuts it off.  In coaxial, incompressible flow this is the fluid of viscosity tau_y / g.
 
 In 3-D, with tau = sqrt(T:T/2) of the deviatoric stress T and p the mean pressure, tau = mu p is a
 Drucker-Prager cone.  It is matched to Mohr-Coulomb in plane strain without dilation, where the
@@ -158,8 +159,10 @@ class Strength:
     """Shear stress tau_y at which the powder flows, Pa."""
 
     friction: FrictionLaw
-    cohesive: float
-    """The part c cos(phi) that needs no pressure, Pa."""
+    mu_s: float
+    """Friction of slow flow, 1."""
+    apex: float
+    """P0 = c cos(phi)/mu_s: the pressure that cohesion is worth, Pa."""
     tensile: float
     """Tension T at which powder is pulled apart, Pa."""
     grain_diameter: float
@@ -170,11 +173,11 @@ class Strength:
     @classmethod
     def of(cls, material: Material, rheology: Rheology) -> Strength:
         """The strength of a powder."""
-        cohesive = material.cohesion * math.cos(material.friction_angle)
-        apex = cohesive / material.friction
+        apex = material.cohesion * math.cos(material.friction_angle) / material.friction
         return cls(
             friction=friction_law(material.friction, rheology),
-            cohesive=cohesive,
+            mu_s=material.friction,
+            apex=apex,
             tensile=apex if rheology.tensile is None else min(rheology.tensile, apex),
             grain_diameter=material.grain_diameter,
             grain_density=material.grain_density,
@@ -185,18 +188,24 @@ class Strength:
         compression = ngs.IfPos(pressure, pressure, 0.0) + _LEAST_PRESSURE
         return shear_rate * self.grain_diameter / ngs.sqrt(compression / self.grain_density)
 
+    def coefficient(self, shear_rate: Any, pressure: Any) -> Any:
+        """mu(I), 1."""
+        return self.friction.coefficient(self.inertial_number(shear_rate, pressure))
+
+    def support(self, pressure: Any) -> Any:
+        """The pressure P(p) that friction acts on, Pa."""
+        compression = ngs.IfPos(pressure, pressure, 0.0)
+        if not self.apex:
+            return compression
+        left = 1.0 + (pressure - compression) / max(self.tensile, _LEAST_TENSION)
+        return compression + self.apex * ngs.IfPos(left, left, 0.0)
+
     def __call__(self, shear_rate: Any, pressure: Any) -> Any:
         """tau_y(g, p), Pa."""
-        compression = ngs.IfPos(pressure, pressure, 0.0)
-        mu = self.friction.coefficient(self.inertial_number(shear_rate, pressure))
-        strength = mu * compression
-        if self.cohesive:
-            left = 1.0 + (pressure - compression) / max(self.tensile, _LEAST_TENSION)
-            strength = strength + self.cohesive * ngs.IfPos(left, left, 0.0)
-        return strength
+        return self.coefficient(shear_rate, pressure) * self.support(pressure)
 
     def ill_posed(self, shear_rate: Any, pressure: Any) -> Any:
-        """1 where the law is ill-posed, 0 elsewhere; the filter and the creep do not count."""
+        """1 where the local law is ill-posed, 0 elsewhere; length and creep do not count."""
         i = self.inertial_number(shear_rate, pressure)
         measure = ill_posedness(self.friction.coefficient(i), self.friction.exponent(i))
         return ngs.IfPos(measure, 1.0, 0.0)

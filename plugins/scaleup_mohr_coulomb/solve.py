@@ -44,10 +44,10 @@ def steady_bed(
         options.fine_size,
         options.coarse_size,
         options.time_step,
-        options.filter_length,
+        options.nonlocal_length,
         options.predictor_length,
     )
-    asked = {"fine_size", "coarse_size", "time_step", "filter_length", "predictor_length"}
+    asked = {"fine_size", "coarse_size", "time_step", "nonlocal_length", "predictor_length"}
     sizes = options.model_dump(mode="json", include=asked)
     rheology = Rheology.by_literature(
         options.rheology,

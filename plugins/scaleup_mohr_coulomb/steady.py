@@ -68,7 +68,7 @@ class SteadyBed:
     """Standard error of the mean velocity, relative, see `SwingAverage.velocity_errors`."""
     velocity_drift: float
     """Relative change of the mean velocity per revolution within the averaging."""
-    filter_length: float
+    nonlocal_length: float
     """Non-local length of the friction law, m."""
     fine_size: float
     """Element size about the surface, m."""
@@ -181,7 +181,7 @@ def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: f
         net_area_correction=flow.net_area_correction,
         velocity_error=velocity_error,
         velocity_drift=velocity_drift,
-        filter_length=flow.discretisation.filter_length,
+        nonlocal_length=flow.discretisation.nonlocal_length,
         fine_size=flow.discretisation.fine_size,
         ill_posed_share=flow.ill_posed_share(),
         steps=flow.steps,

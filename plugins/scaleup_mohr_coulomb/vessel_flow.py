@@ -27,6 +27,7 @@ from .rheology import Strength
 from .space_exchange import ExchangingTransport
 from .space_level_set import SpaceLevelSet
 from .space_mesh import WALL
+from .surface_weight import SurfaceWeight
 from .two_phase import FlowDiverged
 from .viscosity import Viscosity
 
@@ -63,6 +64,7 @@ class VesselFlow:
         mirrored: bool,
     ) -> None:
         self.mesh, self.numerics, self._comm = mesh, numerics, comm
+        self._gravity = gravity
         self.mirrored = mirrored
         self.speed, self.phase = speed, start
         self.volume = 0.5 * volume if mirrored else volume
@@ -84,12 +86,19 @@ class VesselFlow:
         depth = ngs.IfPos(self.level_set.field, self.level_set.field, 0.0)
         self.pressure.Set(material.bulk_density * gravity * depth)
         self._step_length = ngs.Parameter(numerics.time_step)
-        self._gravity = gravity
         alpha = self.level_set.fraction
         shapes = ElementShapes(mesh)
+        self._down = [ngs.Parameter(part) for part in self._gravity_now()]
+        self._weight = SurfaceWeight(
+            self.level_set.field,
+            numerics.interface_half_width,
+            material.bulk_density - numerics.air_density,
+            ngs.CoefficientFunction((*self._down, 0.0)),
+            shapes,
+        )
         self._viscosity = Viscosity(
             self.velocity,
-            self.pressure,
+            self.pressure - self._weight.excess,
             alpha,
             Strength.of(material, rheology),
             material.bulk_density,
@@ -110,22 +119,29 @@ class VesselFlow:
             force=self._force,
             wall_velocity=ngs.CoefficientFunction((0.0, 0.0, 0.0)),
             shapes=shapes,
+            surface_weight=self._weight,
             rough=WALL if mirrored else ".*",
         )
         self._transport = ExchangingTransport(
             self.level_set, 0.5 * (self.velocity + old), self._step_length, shapes
         )
-        deep = ngs.IfPos(-self.level_set.field - numerics.interface_half_width, 1.0, 0.0)
+        # beyond the elements that the interface crosses, where linear pressures reach into the air
+        beyond = numerics.interface_half_width + numerics.fine_size
+        deep = ngs.IfPos(-self.level_set.field - beyond, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep, deep * self.pressure))
 
     def _force(self, points: NDArray[Any], velocity: NDArray[Any]) -> NDArray[Any]:
         """Gravity, centrifugal and Coriolis force per mass (..., 3), m/s^2."""
         omega = self.speed
         (x, y), (u, v) = (np.moveaxis(field[..., :2], -1, 0) for field in (points, velocity))
-        down = -self._gravity * math.sin(self.phase), -self._gravity * math.cos(self.phase)
+        down = self._gravity_now()
         across = down[0] + omega**2 * x + 2.0 * omega * v
         up = down[1] + omega**2 * y - 2.0 * omega * u
         return np.stack([across, up, np.zeros_like(up)], axis=-1)
+
+    def _gravity_now(self) -> tuple[float, float]:
+        """Its components along x and y at this phase, m/s^2."""
+        return -self._gravity * math.sin(self.phase), -self._gravity * math.cos(self.phase)
 
     @property
     def unknowns(self) -> int:
@@ -135,14 +151,17 @@ class VesselFlow:
     def step(self, length: float) -> None:
         """Advance by ``length`` (s).
 
-        1. Let the air that is solved for follow the bed; 2. filter shear rate and pressure, update
-        the viscosity; 3. turn gravity to the end of the step, solve for velocity and pressure, the
+        1. Let the air that is solved for follow the bed; 2. turn gravity to the end of the step,
+        find the non-local shear rate and the viscosity; 3. solve for velocity and pressure, the
         latter zero on average in the air; 4. move the level set, restore the bed's volume by a
         uniform shift of its surface.
         """
         self._step_length.Set(length)
         self._follow_bed()
         self.phase += self.speed * length
+        for parameter, part in zip(self._down, self._gravity_now(), strict=True):
+            parameter.Set(part)
+        self._weight.update()
         self._viscosity.update()
         self._momentum.step()
         self.iterations += self._momentum.iterations

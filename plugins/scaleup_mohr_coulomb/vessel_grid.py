@@ -437,7 +437,7 @@ def _summary(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) -> 
         "repeat_mismatch": run.mismatch,
         "projection_change": math.sqrt(builder.change / max(builder.square, 1e-300)),
         "volume_balanced": builder.moved / scene.fill_volume,
-        "filter_length": flow.numerics.filter_length,
+        "nonlocal_length": flow.numerics.nonlocal_length,
         "element_size": flow.numerics.fine_size,
         "unknowns": flow.unknowns,
         "half_of_vessel_solved": flow.mirrored,

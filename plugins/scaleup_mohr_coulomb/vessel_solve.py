@@ -28,9 +28,7 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
     """The method's rules (`parameters.Discretisation`), for meshes of one element size.
 
     Element size h = R/6 and time step sqrt(R/g)/8, for vessels that turn for whole revolutions on a
-    mesh that the surface sweeps all of.  The filter length is at least h/4, as in 2-D: a
-    shorter one is not seen, and a level bed creeps then.  It is numerical, and shrinks with the
-    mesh.
+    mesh that the surface sweeps all of.
     """
     reach = scene.geometry.reach
     size = options.fine_size or reach / _ELEMENTS
@@ -51,11 +49,13 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
         size,
         size,
         options.time_step or math.sqrt(reach / GRAVITY) / _STEPS,
-        options.filter_length,
+        options.nonlocal_length,
         options.predictor_length,
     )
-    filter_length = options.filter_length or max(numerics.filter_length, size / 4.0)
-    return dataclasses.replace(numerics, filter_length=filter_length)
+    in_space = numerics.in_space()
+    if options.nonlocal_length is None:
+        return in_space
+    return dataclasses.replace(in_space, nonlocal_length=options.nonlocal_length)
 
 
 def vessel_flow(

@@ -1,12 +1,27 @@
-"""The powder's viscosity, taken from a shear rate and a pressure filtered over a length.
+"""The powder's viscosity by its granular fluidity: friction with a length, well-posed.
 
-Constant friction is ill-posed without a length: the viscosity sees shear rate and pressure
-through a filter of length l (:attr:`Discretisation.filter_length`),
+Grains that flow loosen their neighbours over a few diameters.  In the non-local rheology of
+Kamrin & Koval (2012, Phys. Rev. Lett. 108, 178301) and Henann & Kamrin (2013, PNAS 110, 6730; 2014,
+Int. J. Plasticity 60, 145) the ratio of shear stress to pressure is shear rate over a fluidity f
+(1/s), which obeys
 
-    int (alpha + 1e-3) (g s + l^2 grad g.grad s) = int (alpha + 1e-3) sqrt(2 E:E) s  for all s,
+    t0 df/dt = A^2 d^2 lap f - (mu_s - tau/p) f - b sqrt(rho_s d^2/p) (tau/p) f^2
 
-and likewise for the pressure, with alpha the powder fraction and quadratic elements g, s (with
-linear ones a drum's layer at h = 3 l is off its converged depth by 5 instead of 3 %).
+with the local law mu(I) = mu_s + b I.  Since tau/p = g/f with g the shear rate, and t0 is far
+below a time step, that is linear in f:
+
+    mu(I) f - A^2 d^2 lap f = g,            eta = p / f,
+
+for this and any other mu(I).  Solved here is the non-local shear rate r = mu_s f, in quadratic
+elements r, s,
+
+    int w (mu(I)/mu_s r s + l^2 grad r.grad s) = int w g s  for all s,    w = alpha + 1e-3,
+    eta = mu_s P(p) / sqrt(r^2 + eps^2),                                  l = A d / sqrt(mu_s),
+
+with alpha the powder fraction, P the pressure with cohesion (`rheology`), eps the creep rate
+(:attr:`Discretisation.creep_rate`) and l :attr:`Discretisation.nonlocal_length`.  Uniform flow
+obeys tau = mu(I) P; flow fades into powder below yield as exp(-z sqrt(1 - tau/(mu_s p))/l), where
+local friction would end it at once.
 """
 
 from __future__ import annotations
@@ -21,14 +36,14 @@ from .field_system import FieldSystem
 from .parameters import Discretisation
 from .rheology import Strength, effective_viscosity, predicted_shear_rate
 
-# Weight of the air in the filter: enough to define it there, too little to dilute the powder.
+# Weight of the air: enough to define the fluidity there, too little to dilute the powder's.
 _AIR_WEIGHT = 1.0e-3
 
 
 class Viscosity:
     """Viscosity of the powder by the state that velocity and pressure are in.
 
-    Attributes: ``field`` (L2, order 1, Pa s), ``shear_rate`` and ``pressure``, the filtered ones
+    Attributes: ``field`` (L2, order 1, Pa s), ``shear_rate``, the non-local one, and ``pressure``
     (coefficient functions, 1/s and Pa).
     """
 
@@ -44,56 +59,59 @@ class Viscosity:
         space: Any,
         shapes: ElementShapes,
     ) -> None:
-        """``space`` holds the filtered fields, continuous functions of order 1 or 2; ``time_step``
-        is an ngs.Parameter, s.
+        """``space`` holds the non-local shear rate, continuous functions of order 1 or 2;
+        ``time_step`` is an ngs.Parameter, s.
         """
-        self._shapes, self._filter_length = shapes, numerics.filter_length
-        self._shear_rate, self.pressure = ngs.GridFunction(space), ngs.GridFunction(space)
+        self._shapes, self._length = shapes, numerics.nonlocal_length
+        self.pressure = pressure
+        self._shear_rate = ngs.GridFunction(space)
         # quadratic functions may undershoot
         self.shear_rate = ngs.IfPos(self._shear_rate, self._shear_rate, 0.0)
-        self._filter = FieldSystem(space)
+        self._system = FieldSystem(space)
         strain_rate = ngs.Sym(ngs.Grad(velocity))
-        shear_rate = ngs.sqrt(2.0 * ngs.InnerProduct(strain_rate, strain_rate))
-        self._sources = ngs.CoefficientFunction((fraction, shear_rate, pressure)).Compile()
+        local = ngs.sqrt(2.0 * ngs.InnerProduct(strain_rate, strain_rate))
+        rise = strength.coefficient(local, pressure) / strength.mu_s
+        self._sources = ngs.CoefficientFunction((fraction, local, rise)).Compile()
 
-        strength_now = strength(self.shear_rate, self.pressure)
+        slow_strength = strength.mu_s * strength.support(pressure)
         self.field = ngs.GridFunction(ngs.L2(space.mesh, order=1))
         expected = predicted_shear_rate(
             self.shear_rate,
             self.field * self.shear_rate,
-            strength_now,
+            slow_strength,
             time_step / (density * numerics.predictor_length**2),
             numerics.predictor_threshold * time_step / numerics.time_step,
         )
         creep = numerics.creep_rate
-        self._next = effective_viscosity(
-            strength(expected, self.pressure), expected, creep
-        ).Compile()
+        self._next = effective_viscosity(slow_strength, expected, creep).Compile()
         self._projected = ngs.GridFunction(self.field.space)
-        self._filter_fields()
-        self.field.Set(effective_viscosity(strength_now, self.shear_rate, creep))
+        self._settled = effective_viscosity(slow_strength, self.shear_rate, creep).Compile()
+        self.settle()
+
+    def settle(self) -> None:
+        """The viscosity of the state as it stands, predicting nothing."""
+        self._spread()
+        self.field.Set(self._settled)
 
     def update(self) -> None:
-        """Filter shear rate and pressure, then the viscosity that the next step sees."""
-        self._filter_fields()
+        """Find the non-local shear rate, then the viscosity that the next step sees."""
+        self._spread()
         self._projected.Set(self._next)
         self.field.vec.data = self._projected.vec
 
-    def _filter_fields(self) -> None:
-        shapes, system = self._shapes, self._filter
-        fraction, *sources = np.moveaxis(shapes.sampled(self._sources), -1, 0)
+    def _spread(self) -> None:
+        shapes, system = self._shapes, self._system
+        fraction, local, rise = np.moveaxis(shapes.sampled(self._sources), -1, 0)
         weight = shapes.weights * (fraction + _AIR_WEIGHT)
         count = system.dofs.shape[1]
         values = shapes.values[:, :count]
         for some, slopes in shapes.chunks():
             root = np.sqrt(weight[some])[..., None]
-            rows = [root * values]
+            rows = [root * np.sqrt(rise[some])[..., None] * values]
             rows += [
-                self._filter_length * root * slopes[:, :, :count, axis]
-                for axis in range(shapes.dimension)
+                self._length * root * slopes[:, :, :count, axis] for axis in range(shapes.dimension)
             ]
             system.blocks[some] = outer_products(np.concatenate(rows, axis=1))
         system.update()
-        for field, source in zip((self._shear_rate, self.pressure), sources, strict=True):
-            coefficients = field.vec.FV().NumPy()
-            coefficients[:] = system.solve((weight * source) @ values, coefficients)
+        coefficients = self._shear_rate.vec.FV().NumPy()
+        coefficients[:] = system.solve((weight * local) @ values, coefficients)
