@@ -82,7 +82,6 @@ CASES = {
     "air density x 1/10": factor("air_density", 0.1),
     "air viscosity x 1/10": factor("air_viscosity", 0.1),
     "air viscosity x 10": factor("air_viscosity", 10.0),
-    "air viscosity x 100": factor("air_viscosity", 100.0),
     "l x 2": Case(nonlocal_length=2 * L),
     "h = 5.8 mm": Case(fine_size=2 * H),
     "h = 4.1 mm": Case(fine_size=math.sqrt(2) * H),

