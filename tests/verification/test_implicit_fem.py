@@ -157,7 +157,7 @@ def test_the_matrices_are_what_they_should_be():
         assert np.abs(mass.sum(axis=0)).max() < 1e-14
         middle = begins + 0.5 * bed.interval.duration
         whole = mass + np.diag(fraction(middle))
-        assert np.linalg.eigvalsh(whole).min() > 0
+        assert np.linalg.eigvalsh(whole).min() > -1e-14  # round-off
         if name == "full-drum":  # no diffusion, steady: energy is kept
             assert np.abs(high + high.T).max() < 1e-12 * scale
 

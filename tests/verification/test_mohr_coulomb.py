@@ -310,8 +310,8 @@ def test_too_long_a_step_is_said_and_not_computed(mesh):
 
 
 def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
-    """At a step of 50 ms a coarse drum yields late and runs away; the record must not show it."""
-    flow, times = careful_drum(0.05, seconds=1.5)
+    """At a step of 40 ms a coarse drum yields late and runs away; the record must not show it."""
+    flow, times = careful_drum(0.04, seconds=1.5)
     steps = CarefulSteps(flow, SwingAverage(flow))
     while flow.time < times:
         steps.block()
@@ -319,7 +319,7 @@ def test_a_flow_that_diverges_goes_back_and_takes_shorter_steps():
     assert recovery.retries >= 1
     assert 1 <= recovery.most_halvings <= 4
     samples = np.array(steps.average.times)
-    assert np.diff(samples) == pytest.approx(0.05, rel=1e-9)
+    assert np.diff(samples) == pytest.approx(0.04, rel=1e-9)
     assert samples[-1] == pytest.approx(flow.time)
     angles = np.degrees(steps.average.angles)
     assert 15 < angles.min() < angles.max() < 35
@@ -366,7 +366,7 @@ def test_constant_friction_converges_with_a_length_and_not_without():
     avalanche converges; with one that the mesh does not resolve, powder shears thrice as fast.
 
     The shear rate, weighted with itself, of elements of 5.6, 4 and 2.8 mm: 8.2, 7.9, 8.2 /s with a
-    length of 2 mm, more than twice that with an eighth of the element.
+    length of 2 mm, more than twice that with an eighth of the element, or no end to it.
     """
 
     def shear_rate(size: float, length: float) -> float:
@@ -379,7 +379,10 @@ def test_constant_friction_converges_with_a_length_and_not_without():
         parts = ngs.CoefficientFunction((powder * shear * shear, powder * shear))
         total = np.zeros(2)
         while flow.time < end:
-            flow.step()
+            try:
+                flow.step()
+            except FlowDiverged:
+                return math.inf
             if flow.time > end - 0.3:
                 total += np.array(ngs.Integrate(parts, flow.mesh, order=4))
         return total[0] / total[1]
