@@ -70,11 +70,7 @@ class LevelSet:
 
     def lattice_values(self) -> NDArray[Any]:
         """Level set (n_elements, n_points) on the lattice of each element."""
-        return self.lattice.values(self.nodal_values())
-
-    def nodal_values(self) -> NDArray[Any]:
-        """Level set at vertices and then edge midpoints, m."""
-        return self._nodal(self.field)
+        return self.lattice.values(self._nodal(self.field))
 
     def _nodal(self, function: Any) -> NDArray[Any]:
         """Values at vertices and edge midpoints; NGSolve's edge functions are -1/8 at midpoints."""
@@ -164,7 +160,7 @@ class LevelSet:
         to_node = self._nodes[:, None, :] - start[nearest]
         along = np.clip((to_node * side[nearest]).sum(axis=2) / square[nearest], 0.0, 1.0)
         distance = np.linalg.norm(to_node - along[:, :, None] * side[nearest], axis=2).min(axis=1)
-        self._set_nodal(np.copysign(distance, self.nodal_values()))
+        self._set_nodal(np.copysign(distance, self._nodal(self.field)))
         self.hold(held)
 
     def hold(self, areas: NDArray[Any]) -> None:

@@ -230,7 +230,7 @@ def test_fluidity_spreads_over_its_length(rheology):
     errors = []
     for cells in (4, 8):
         square = MakeStructured2DMesh(quads=False, nx=2, ny=cells)
-        material, linear = Material(grain_diameter=0.1), ngs.H1(square, order=2)
+        material, space = Material(grain_diameter=0.1), ngs.H1(square, order=2)
         numerics = dataclasses.replace(
             Discretisation.by_rule(material, Drive(1.0, 1.0), 1.0),
             nonlocal_length=length,
@@ -247,7 +247,7 @@ def test_fluidity_spreads_over_its_length(rheology):
             material.bulk_density,
             numerics,
             ngs.Parameter(1.0),
-            linear,
+            space,
             ElementShapes(square),
         )
         local = 1.0 + 0.9 * ngs.cos(math.pi * ngs.y)
