@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .element_shapes import ElementShapes, element_dofs
+from .level_set import smooth_ramp, smooth_step
 from .velocity_terms import BodyForce
 
 # |grad phi|^2 of a signed distance is 1, but for kinks.
@@ -71,7 +72,7 @@ class SurfaceWeight:
         phi = self._level_set.vec.FV().NumPy()
         z = np.clip(phi[: mesh.nv] / width, -1.0, 1.0)
         deeper = np.maximum(phi[: mesh.nv] - width, 0.0)
-        self._interpolated.vec.FV().NumPy()[:] = width * _smooth_ramp(z) + deeper
+        self._interpolated.vec.FV().NumPy()[:] = width * smooth_ramp(z) + deeper
         corners = phi[self._corners]
         near = (corners.min(axis=1) < width) & (corners.max(axis=1) > -width)
         self._near.vec.FV().NumPy()[:] = near
@@ -98,7 +99,7 @@ class SurfaceWeight:
             gradient = _gradient(slopes, phi[some])
             interpolated = _gradient(slopes[:, :, : dim + 1], depth[some])
             z = np.clip(phi[some] @ values.T / self._half_width, -1.0, 1.0)
-            fraction = 0.5 + 0.75 * z - 0.25 * z**3
+            fraction = smooth_step(z)
             old = velocity[velocity_dofs[some]].reshape(-1, dim, count)
             pull = force(shapes.points[some], np.matmul(values, old.transpose(0, 2, 1)))
             square = np.maximum((gradient**2).sum(axis=2), _LEAST_SLOPE)
@@ -118,9 +119,4 @@ def _weighed_depth(level_set: Any, half_width: float) -> Any:
     z = level_set / half_width
     deeper = ngs.IfPos(z - 1.0, level_set - half_width, 0.0)
     clipped = ngs.IfPos(1.0 - z, ngs.IfPos(1.0 + z, z, -1.0), 1.0)
-    return half_width * _smooth_ramp(clipped) + deeper
-
-
-def _smooth_ramp(z: Any) -> Any:
-    """Integral of the smooth step H of `level_set` from -1 to z in [-1, 1]."""
-    return 0.1875 + 0.5 * z + 0.375 * z**2 - 0.0625 * z**4
+    return half_width * smooth_ramp(clipped) + deeper

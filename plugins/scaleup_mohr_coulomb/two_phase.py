@@ -125,8 +125,7 @@ class TwoPhaseFlow:
         beyond = discretisation.interface_half_width + discretisation.fine_size
         deep_air = ngs.IfPos(-self.level_set.field - beyond, 1.0, 0.0)
         self._air_pressure = ngs.CoefficientFunction((deep_air, deep_air * self.pressure))
-        if surface is None:
-            self._settle()
+        self._rests_in_drum = surface is None
 
     @property
     def time_step(self) -> float:
@@ -138,7 +137,7 @@ class TwoPhaseFlow:
         self._step_length.Set(length)
 
     def _settle(self) -> None:
-        """Find the stress that carries the bed at rest in the drum, before the clock starts.
+        """Find the stress that carries the bed at rest in the drum, with the clock stopped.
 
         Stress in powder below yield is that of creep, which takes some steps to find: the first
         ones would take what it lacks for yielding, and the bed would slip by 0.3 to 0.6 deg.
@@ -151,13 +150,15 @@ class TwoPhaseFlow:
             self._level_pressure()
 
     def step(self) -> None:
-        """Advance by one time step.
+        """Advance by one time step; the first of a drum from the stress that carries it at rest.
 
         1. Find the non-local shear rate; 2. update the powder's viscosity; 3. solve for velocity
         and pressure, the pressure being zero on average in the air; 4. move the level set
         by the nearest velocity without divergence, and restore what little the bed's area has
         changed by a uniform shift of its surface.
         """
+        if self._rests_in_drum and not self.steps:
+            self._settle()
         self._weight.update()
         self._viscosity.update()
         self._momentum.step()

@@ -144,6 +144,23 @@ def _add(builder: _Builder | None, comm: Any, *given: Any) -> None:
     on_root_alone(comm, lambda: builder.add(*given) if builder is not None else None)
 
 
+class _Rotation:
+    """Mean rotation over the vessel's, of motion in the vessel's frame."""
+
+    def __init__(self) -> None:
+        self._turned = self._turnable = 0.0
+
+    def add(self, rigid: NDArray[Any], motion: NDArray[Any]) -> None:
+        """Velocities (n, 2) in m/s: the vessel's, and the powder's relative to it."""
+        self._turned += float((motion * rigid).sum())
+        self._turnable += float((rigid**2).sum())
+
+    @property
+    def ratio(self) -> float | None:
+        """1 for powder that turns with the vessel, None of no powder."""
+        return 1.0 + self._turned / self._turnable if self._turnable else None
+
+
 class _Builder:
     """Builds the intervals one after the other; ``moved`` is the volume that `balance` has moved
     and ``change`` what closing has changed, squared, beside ``square`` of the given fluxes.
@@ -161,7 +178,8 @@ class _Builder:
         self.parts: list[CompactInterval] = []
         self.moved = self.change = self.square = 0.0
         self._corners = grid.corner_points()[near]
-        self.surface_speed = self._turned = self._turnable = 0.0
+        self.surface_speed = 0.0
+        self._deep, self._at_wall = _Rotation(), _Rotation()
 
     @property
     def rotation_ratio(self) -> float | None:
@@ -169,7 +187,12 @@ class _Builder:
 
         None if the bed is nowhere that deep.
         """
-        return 1.0 + self._turned / self._turnable if self._turnable else None
+        return self._deep.ratio
+
+    @property
+    def wall_rotation_ratio(self) -> float | None:
+        """Of that powder, of what lies within a cell of the wall."""
+        return self._at_wall.ratio
 
     def _look_at(self, level: FloatArray, motion: NDArray[Any]) -> None:
         """Measure speeds (m/s) relative to rigid rotation near the surface and deep in the bed."""
@@ -179,10 +202,10 @@ class _Builder:
         speed = np.linalg.norm(motion[top], axis=1)
         self.surface_speed = max(self.surface_speed, float(speed.max(initial=0.0)))
         deep = inside & (level > _DEEP * scene.geometry.reach)
-        x, y = self._corners[deep, :2].T
-        rigid = scene.speed * np.stack([-y, x], axis=1)
-        self._turned += float((motion[deep, :2] * rigid).sum())
-        self._turnable += float((rigid**2).sum())
+        at_wall = deep & (self._wall[self._near] < grid.spacing[0])
+        for rotation, where in ((self._deep, deep), (self._at_wall, at_wall)):
+            x, y = self._corners[where, :2].T
+            rotation.add(scene.speed * np.stack([-y, x], axis=1), motion[where, :2])
 
     def add(
         self,
@@ -426,6 +449,8 @@ def _summary(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) -> 
         "solid_body_ratio": builder.rotation_ratio,
         "solid_body_ratio_definition": "rotation over the vessel's of powder deeper than a third "
         "of the reach",
+        "wall_rotation_ratio": builder.wall_rotation_ratio,
+        "wall_rotation_ratio_definition": "the same of powder within a cell of the wall",
         **(
             {"solid_body_ratio_reason": "the bed is nowhere that deep"}
             if builder.rotation_ratio is None
@@ -472,9 +497,12 @@ def _warnings(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) ->
         )
     ratio = builder.rotation_ratio
     if ratio is not None and ratio < _SLIDING:
+        at_wall = builder.wall_rotation_ratio
+        slides = at_wall is not None and at_wall < _SLIDING
         found.append(
-            f"the bed turns at {ratio:.2f} of the vessel's speed deep below its surface: it slides "
-            "or creeps instead of turning with the vessel"
+            f"the bed turns at {ratio:.2f} of the vessel's speed deep below its surface: it "
+            + ("slides on the wall" if slides else "creeps")
+            + " instead of turning with the vessel"
         )
     if run.mismatch > REPEATS:
         found.append(

@@ -316,7 +316,8 @@ def test_a_coarse_drum_with_end_walls_comes_to_repeat_itself(store, monkeypatch)
     assert figures["repeat_mismatch"] < 0.05
     assert figures["projection_change"] < 0.2
     assert 23.0 < figures["surface_angle_deg"] < 38.0
-    assert figures["solid_body_ratio"] > 0.6  # it slides on so coarse a mesh
+    assert figures["solid_body_ratio"] > 0.75  # it creeps by the length of so coarse a mesh
+    assert figures["wall_rotation_ratio"] > 0.93
     assert figures["iterations_per_step"] < 60
     monkeypatch.setattr(VesselFlow, "step", None)
     coarser = obtain_flow(asked(3000), COMM).flow
