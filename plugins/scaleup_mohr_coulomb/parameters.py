@@ -181,14 +181,10 @@ class Discretisation:
     def in_space(self) -> Discretisation:
         """What differs on the meshes of space, which are far from resolving grains.
 
-        A non-local length of at least h/4: numerical, and shrinking with the mesh.  Air of
-        ten times the viscosity: with less, a step takes 1.2 to 1.7 times the iterations, the more
-        the finer the mesh.
+        A non-local length of at least h/4: numerical, and shrinking with the mesh.
         """
         return dataclasses.replace(
-            self,
-            nonlocal_length=max(self.nonlocal_length, self.fine_size / 4.0),
-            air_viscosity=10.0 * self.air_viscosity,
+            self, nonlocal_length=max(self.nonlocal_length, self.fine_size / 4.0)
         )
 
 
