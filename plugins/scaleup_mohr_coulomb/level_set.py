@@ -17,12 +17,12 @@ from .vertex_shifts import vertex_shifts
 _NEIGHBOURS = 8
 _SHIFTS = 8
 # Sweeps that give elements the area they should hold, each limited to this part of the interface's
-# half width, and smoothed over so many half widths.  Thin pockets of air at the wall, which coarse
-# elements hold below the bed, take several long ones: with two of a tenth of the half width most of
-# their air was lost.
+# half width, and smoothed over so many half widths.
 _SWEEPS = 4
 _MOST_SHIFT = 1.0
 _SPREAD = 1.0
+# Elements about those of air alone, in rings of neighbours, in which air is that of the surface.
+_RINGS = 2
 # Interface half widths by which the contour is carried on beyond the wall in redistancing.
 _CARRIED = 4
 
@@ -164,6 +164,24 @@ class LevelSet:
         distance = np.linalg.norm(to_node - along[:, :, None] * side[nearest], axis=2).min(axis=1)
         self._set_nodal(np.copysign(distance, self._nodal(self.field)))
         self.hold(held)
+
+    def drain(self) -> bool:
+        """Fill air below the surface with powder, which lets it through its pores; whether any was.
+
+        Where a bed rolls over bare wall it takes a film of air along, thinner than elements, and
+        would slide on it.  Filled are nodes in air that are more than two elements away from any
+        element of air alone.
+        """
+        nodal = self._nodal(self.field)
+        air = nodal < 0.0
+        reached = np.zeros(len(nodal), dtype=bool)
+        reached[self._elements[air[self._elements].all(axis=1)]] = True
+        for _ in range(_RINGS):
+            reached[self._elements[reached[self._elements].any(axis=1)]] = True
+        closed = air & ~reached
+        nodal[closed] *= -1.0
+        self._set_nodal(nodal)
+        return bool(closed.any())
 
     def hold(self, areas: NDArray[Any]) -> None:
         """Shift vertices until elements hold these ``areas`` (n_elements,), m^2.

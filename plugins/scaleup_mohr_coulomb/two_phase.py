@@ -63,7 +63,7 @@ class TwoPhaseFlow:
         self.radius = farthest_wall(mesh)
         self.time = 0.0
         self.steps = 0
-        self._area_gained = self._area_moved = 0.0
+        self._area_gained = self._area_moved = self._area_drained = 0.0
 
         self.level_set = LevelSet(mesh, discretisation.interface_half_width)
         if surface is None:
@@ -155,7 +155,8 @@ class TwoPhaseFlow:
         1. Find the non-local shear rate; 2. update the powder's viscosity; 3. solve for velocity
         and pressure, the pressure being zero on average in the air; 4. move the level set
         by the nearest velocity without divergence, and restore what little the bed's area has
-        changed by a uniform shift of its surface.
+        changed by a uniform shift of its surface.  Every few steps, 5. let air below the surface
+        drain, and redistance.
         """
         if self._rests_in_drum and not self.steps:
             self._settle()
@@ -166,9 +167,11 @@ class TwoPhaseFlow:
         self._level_pressure()
         self._mover.update()
         self._transport.step()
-        if self.steps % self.discretisation.redistance_every == 0:
-            self.level_set.redistance()
         self._restore_area()
+        if self.steps % self.discretisation.redistance_every == 0:
+            self._drain()
+            self.level_set.redistance()
+            self._restore_area()
         self.time += self.time_step
         self.steps += 1
 
@@ -176,6 +179,10 @@ class TwoPhaseFlow:
         air_area, air_pressure = ngs.Integrate(self._air_pressure, self.mesh)
         if air_area > 0.0:
             self.pressure.vec.FV().NumPy()[:] -= air_pressure / air_area
+
+    def _drain(self) -> None:
+        if self.level_set.drain():
+            self._area_drained -= self.level_set.restore_area(self.drive.bed_area)
 
     def _restore_area(self) -> None:
         lost = self.level_set.restore_area(self.drive.bed_area)
@@ -205,6 +212,11 @@ class TwoPhaseFlow:
         """Sum over the run of the area restored per step, relative to the bed."""
         return self._area_gained / self.drive.bed_area
 
+    @property
+    def air_drained(self) -> float:
+        """Sum over the run of the area of air below the surface that drained, over the bed's."""
+        return self._area_drained / self.drive.bed_area
+
     def ill_posed_share(self) -> float:
         """Share of the flowing layer in which the friction law is ill-posed, 0 to 1.
 
@@ -218,12 +230,12 @@ class TwoPhaseFlow:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that :meth:`restore` needs to go on from here, as arrays of their own."""
-        counters = (self.time, self.steps, self._area_gained, self._area_moved)
+        areas = (self._area_gained, self._area_moved, self._area_drained)
         return {
             "solution": self._solution.vec.FV().NumPy().copy(),
             "level_set": self.level_set.field.vec.FV().NumPy().copy(),
             "viscosity": self._viscosity.field.vec.FV().NumPy().copy(),
-            "counters": np.array(counters, dtype=float),
+            "counters": np.array((self.time, self.steps, *areas), dtype=float),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -240,5 +252,6 @@ class TwoPhaseFlow:
                     f"state[{name!r}] has {state[name].size} values: this mesh needs {values.size}"
                 )
             values[:] = state[name]
-        self.time, steps, self._area_gained, self._area_moved = state["counters"].tolist()
+        self.time, steps, *areas = state["counters"].tolist()
+        self._area_gained, self._area_moved, self._area_drained = areas
         self.steps = int(steps)
