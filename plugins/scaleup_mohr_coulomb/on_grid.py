@@ -156,6 +156,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "axis_to_surface": middle.axis_distance,
         **_layer(middle, bed.angular_velocity),
         "volume_drift": bed.area_correction,
+        "air_drained": bed.air_drained,
         "velocity_error": bed.velocity_error,
         "velocity_drift_per_revolution": bed.velocity_drift,
         "nonlocal_length": bed.nonlocal_length,

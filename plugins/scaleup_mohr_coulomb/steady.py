@@ -62,8 +62,8 @@ class SteadyBed:
     """Inclination of the free surface at ``times``, rad."""
     area_correction: float
     """Sum of |area restored| over the run, relative to the bed."""
-    net_area_correction: float
-    """Sum of the area restored over the run, relative to the bed."""
+    air_drained: float
+    """Sum of the area of air below the surface that drained over the run, relative to the bed."""
     velocity_error: float
     """Standard error of the mean velocity, relative, see `SwingAverage.velocity_errors`."""
     velocity_drift: float
@@ -178,7 +178,7 @@ def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: f
         times=np.array(average.times),
         angles=np.array(average.angles),
         area_correction=flow.area_correction,
-        net_area_correction=flow.net_area_correction,
+        air_drained=flow.air_drained,
         velocity_error=velocity_error,
         velocity_drift=velocity_drift,
         nonlocal_length=flow.discretisation.nonlocal_length,

@@ -63,7 +63,7 @@ class TwoPhaseFlow:
         self.radius = farthest_wall(mesh)
         self.time = 0.0
         self.steps = 0
-        self._area_gained = self._area_moved = self._area_drained = 0.0
+        self._area_moved = self._area_drained = 0.0
 
         self.level_set = LevelSet(mesh, discretisation.interface_half_width)
         if surface is None:
@@ -185,9 +185,7 @@ class TwoPhaseFlow:
             self._area_drained -= self.level_set.restore_area(self.drive.bed_area)
 
     def _restore_area(self) -> None:
-        lost = self.level_set.restore_area(self.drive.bed_area)
-        self._area_gained += lost
-        self._area_moved += abs(lost)
+        self._area_moved += abs(self.level_set.restore_area(self.drive.bed_area))
 
     def _check_speed(self) -> None:
         # edges' coefficients, eight times what they add to the velocity, tell first of a runaway
@@ -208,11 +206,6 @@ class TwoPhaseFlow:
         return self._area_moved / self.drive.bed_area
 
     @property
-    def net_area_correction(self) -> float:
-        """Sum over the run of the area restored per step, relative to the bed."""
-        return self._area_gained / self.drive.bed_area
-
-    @property
     def air_drained(self) -> float:
         """Sum over the run of the area of air below the surface that drained, over the bed's."""
         return self._area_drained / self.drive.bed_area
@@ -230,12 +223,12 @@ class TwoPhaseFlow:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that :meth:`restore` needs to go on from here, as arrays of their own."""
-        areas = (self._area_gained, self._area_moved, self._area_drained)
+        counters = (self.time, self.steps, self._area_moved, self._area_drained)
         return {
             "solution": self._solution.vec.FV().NumPy().copy(),
             "level_set": self.level_set.field.vec.FV().NumPy().copy(),
             "viscosity": self._viscosity.field.vec.FV().NumPy().copy(),
-            "counters": np.array((self.time, self.steps, *areas), dtype=float),
+            "counters": np.array(counters, dtype=float),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -252,6 +245,5 @@ class TwoPhaseFlow:
                     f"state[{name!r}] has {state[name].size} values: this mesh needs {values.size}"
                 )
             values[:] = state[name]
-        self.time, steps, *areas = state["counters"].tolist()
-        self._area_gained, self._area_moved, self._area_drained = areas
+        self.time, steps, self._area_moved, self._area_drained = state["counters"].tolist()
         self.steps = int(steps)

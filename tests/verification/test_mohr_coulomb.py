@@ -76,6 +76,25 @@ def test_a_plane_bed_has_its_area_angle_and_distance(mesh):
     assert level_set.length() == pytest.approx(2 * RADIUS * math.sqrt(1 - 0.09), rel=2e-3)
 
 
+def test_a_film_of_air_at_the_wall_drains_and_a_wide_bubble_stays(mesh):
+    level_set = LevelSet(mesh, 0.005)
+    level_set.set_plane(AREA, math.radians(20))
+    whole = level_set.area()
+    assert not level_set.drain()
+    place = np.array([vertex.point for vertex in mesh.vertices])
+    values = level_set.field.vec.FV().NumPy()
+    plane = values.copy()
+    values[: mesh.nv][(np.hypot(*place.T) > 0.069) & (place[:, 1] < -0.055)] = -1e-3
+    assert level_set.area() < 0.998 * whole
+    assert level_set.drain()
+    assert level_set.area() == pytest.approx(whole, rel=1e-12)
+    values[:] = plane
+    bubble = np.hypot(place[:, 0], place[:, 1] + 0.05) < 0.016
+    values[: mesh.nv][bubble] = -1e-3
+    assert level_set.area() < 0.97 * whole
+    assert not level_set.drain()
+
+
 def test_level_set_turns_with_a_rigid_rotation(mesh):
     level_set = LevelSet(mesh, 0.005)
     level_set.set_plane(AREA, 0.0)
