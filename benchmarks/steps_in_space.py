@@ -15,14 +15,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from on_ranks import on_ranks
 
 SIZES = (14.0, 10.0, 7.0)  # mm
 RANKS = (1, 2)
@@ -118,20 +116,6 @@ def measure(size: float) -> dict[str, Any] | None:
     }
 
 
-def run(size: float, ranks: int) -> dict[str, Any]:
-    """In processes of their own."""
-    script = [sys.executable, "-m", "mpi4py", __file__, "--measure", str(size)]
-    done = subprocess.run(
-        ["mpiexec", "--oversubscribe", "-n", str(ranks), *script],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        check=True,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return row
-
-
 def table(rows: list[dict[str, Any]]) -> str:
     lines = [
         "| elements, mm | unknowns | ranks (workers) | iterations, first steps | then "
@@ -194,7 +178,7 @@ def main() -> None:
     rows = []
     for size in arguments.sizes:
         for ranks in arguments.ranks:
-            rows.append(run(size, ranks))
+            rows.append(on_ranks(__file__, size, ranks))
             print(rows[-1], flush=True)
     print(table(rows))
     print(extrapolation(rows))

@@ -15,9 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,6 +25,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from on_ranks import on_ranks
 
 CELLS = (100_000, 300_000, 1_000_000)
 RANKS = (1, 2)
@@ -80,16 +78,7 @@ def measure(cells: int) -> dict[str, Any] | None:
 def run(cells: int, ranks: int) -> dict[str, Any]:
     """In processes of their own, with an empty store."""
     with tempfile.TemporaryDirectory() as store:
-        script = [sys.executable, "-m", "mpi4py", __file__, "--measure", str(cells)]
-        done = subprocess.run(
-            ["mpiexec", "-n", str(ranks), *script],
-            env={**os.environ, "SCALEUP_CACHE": store, "OMP_NUM_THREADS": "1"},
-            check=True,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-    row: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return row
+        return on_ranks(__file__, cells, ranks, SCALEUP_CACHE=store)
 
 
 def table(rows: list[dict[str, Any]]) -> str:
