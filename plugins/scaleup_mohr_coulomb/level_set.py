@@ -179,9 +179,11 @@ class LevelSet:
         for _ in range(_RINGS):
             reached[self._elements[reached[self._elements].any(axis=1)]] = True
         closed = air & ~reached
+        if not closed.any():
+            return False
         nodal[closed] *= -1.0
         self._set_nodal(nodal)
-        return bool(closed.any())
+        return True
 
     def hold(self, areas: NDArray[Any]) -> None:
         """Shift vertices until elements hold these ``areas`` (n_elements,), m^2.
