@@ -51,13 +51,14 @@ def on_ranks(tmp_path):
     def run(ranks: int, program: str, *arguments: str) -> str:
         script = tmp_path / "program.py"
         script.write_text(program, encoding="utf-8")
+        path = [str(REPOSITORY / "tests"), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
         done = subprocess.run(
             ["mpiexec", "-n", str(ranks), sys.executable, "-m", "mpi4py", str(script), *arguments],
             capture_output=True,
             text=True,
             timeout=300,
             cwd=REPOSITORY / "tests",
-            env={**os.environ, **MPI_ENVIRONMENT, "PYTHONPATH": str(REPOSITORY / "tests")},
+            env={**os.environ, **MPI_ENVIRONMENT, "PYTHONPATH": os.pathsep.join(path)},
             check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr
