@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from numpy.typing import NDArray
 
 from scaleup import units
+from scaleup.bed_support import bed_depth, critical_height, lifted_lean
 from scaleup.closed_surface import ClosedSurface
 from scaleup.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
 from scaleup.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
@@ -82,6 +83,8 @@ __all__ = [
     "RunError",
     "Scene",
     "SymmetricSolver",
+    "bed_depth",
+    "critical_height",
     "cut_fraction",
     "cut_fraction_of_cells",
     "fill_to_volume",
@@ -92,6 +95,7 @@ __all__ = [
     "interval_from_dense",
     "is_circle",
     "level_height",
+    "lifted_lean",
     "neighbours_below",
     "on_each",
     "on_root",
@@ -203,6 +207,18 @@ class Flow(Protocol):
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """Raise InputError if the model cannot hold for this vessel and speed (rad/s). Cheap."""
+        ...
+
+    # This one may be left out.
+    def cautions(
+        self, geometry: Geometry, material: Material, speed: float, fill_volume: float
+    ) -> tuple[str, ...]:
+        """Sentences on where the model may not hold, as far as is known before it is solved. Cheap.
+
+        geometry, material -- as in `Scene`; speed -- rad/s; fill_volume -- m^3 of bed
+        `plan` says them, and the warnings of the solved flow begin with them. Raises InputError,
+        in one sentence that names the remedy, if the model cannot hold for such a bed.
+        """
         ...
 
     def solve(

@@ -148,6 +148,7 @@ def compose(
     _check_together(config)
     if flow_must_accept:
         config.plugin("flow").check(config.plugin("geometry"), config.operation.speed)
+        flow_cautions(config)
     return config
 
 
@@ -205,6 +206,18 @@ def _check_together(config: RunConfig) -> None:
         raise InputError(
             f"grid: a spacing of {spacing:.3g} m gives {cells:.3g} cells, more than {_MOST_CELLS:g}"
         )
+
+
+def flow_cautions(config: RunConfig) -> tuple[str, ...]:
+    """What the flow model says of the scene before it is solved. Raises InputError if it refuses.
+
+    A flow model need not have anything to say.
+    """
+    cautions = getattr(config.plugin("flow"), "cautions", None)
+    if cautions is None:
+        return ()
+    geometry, speed = config.plugin("geometry"), config.operation.speed
+    return tuple(cautions(geometry, config.material, speed, fill_volume(config)))
 
 
 def fill_volume(config: RunConfig) -> float:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from scaleup import registry, storage
 from scaleup.api import Scene
-from scaleup.config import RunConfig, fill_volume, grid_spacing
+from scaleup.config import RunConfig, fill_volume, flow_cautions, grid_spacing
 from scaleup.flow_check import check_shared_flow
 from scaleup.flow_field import FlowField
 from scaleup.grid import Grid, grid_over
@@ -66,6 +66,8 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
     with Reporter("flow", visible=comm.rank == 0) as progress:
         memory = store.memory_of(*_plugins(config))
         flow = config.plugin("flow").solve(scene, comm, progress, memory)
+    if flow is not None:
+        flow = replace(flow, warnings=(*flow_cautions(config), *flow.warnings))
     check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
     storage.write_flow(path, flow, comm)
     del flow

@@ -24,7 +24,7 @@ FLOORS = [
         "compact_intervals",
     },
     {"flux_correction", "step_guard", "flow_check"},
-    {"explicit_transport"},
+    {"explicit_transport", "bed_support"},
     {"api", "loading", "diffusion_tensor", "metrics"},
     {"ray_kernel"},
     {"testing", "config", "storage", "figures", "verification", "skeleton", "bed_view"},

@@ -16,7 +16,7 @@ _SIZES = {"lab": (0.14, 0.2), "pilot": (0.572, 0.851), "plant": (1.5, 2.25)}
 inside of a 55-gallon drum (22.5 in by 33.5 in), and a typical rotary batch mixer of 4 m^3"""
 _WIDTH = 0.01  # m, of the cross-section
 _LAB_SPEED, _CELLS_ACROSS = 6.0, 467  # rpm; nodes across the diameter, as in the paper
-_STRIPS = 64  # of a baffle's thickness, for volumes
+_STRIPS = np.polynomial.legendre.leggauss(64)  # of a baffle's thickness, for volumes
 
 
 class Drum:
@@ -133,7 +133,7 @@ class Drum:
 
     def _baffles_below(self, height: float) -> float:
         """Area of the baffles' cross-sections below y = height, m^2."""
-        nodes, weights = np.polynomial.legendre.leggauss(_STRIPS)
+        nodes, weights = _STRIPS
         across = 0.5 * self.baffle_thickness * nodes
         foot = np.sqrt(self.radius**2 - across**2)
         tip = np.full_like(foot, self.radius - self.baffle_height)

@@ -10,6 +10,7 @@ from scaleup.api import (
     FlowField,
     Geometry,
     InputError,
+    Material,
     Memory,
     PluginOptions,
     Progress,
@@ -97,6 +98,14 @@ class MohrCoulomb:
                 "flow.name = 'mohr-coulomb': the axis of rotation must pass through x = y = 0"
             )
         require_rolling("mohr-coulomb", geometry, speed, froude_below=1.0)
+
+    def cautions(
+        self, geometry: Geometry, material: Material, speed: float, fill_volume: float
+    ) -> tuple[str, ...]:
+        """On the regime of the rheology, and beds that slide."""
+        from scaleup_mohr_coulomb.cautions import cautions_of
+
+        return cautions_of(self.options.rheology, geometry, material, speed, fill_volume)
 
     def solve(
         self, scene: Scene, comm: Any, progress: Progress, memory: Memory

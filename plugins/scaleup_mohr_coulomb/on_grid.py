@@ -18,7 +18,6 @@ from scaleup.api import (
     fill_to_volume,
     fit_stream_function,
     flow_from_stream_function,
-    froude_number,
 )
 from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.mid_bed import mid_bed, sample, surface_speed
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from scaleup_mohr_coulomb.mid_bed import MidBed
     from scaleup_mohr_coulomb.steady import SteadyBed
 
-_CASCADING = 0.03  # Froude number beyond which grains begin to leave the bed's surface
 _SLIDING = 0.8  # rotation of the bed over the vessel's below which it no longer rolls
 _RESOLVED = 4.0  # element size over non-local length beyond which that does nothing
 _MARGIN = 1e-4  # of the reach: how far inside the wall points are kept, where the mesh is
@@ -76,7 +74,7 @@ def flow_field(bed: SteadyBed, scene: Scene) -> FlowField:
         angular_velocity=bed.angular_velocity,
         lift=bed.angle,
         summary=summary | {"projection_change": change},
-        warnings=warnings_of(bed, scene, summary["solid_body_ratio"]),
+        warnings=warnings_of(bed, summary["solid_body_ratio"]),
     )
 
 
@@ -181,15 +179,9 @@ def _layer(middle: MidBed, speed: float) -> dict[str, Any]:
     return found
 
 
-def warnings_of(bed: SteadyBed, scene: Scene, rotation_ratio: float) -> tuple[str, ...]:
+def warnings_of(bed: SteadyBed, rotation_ratio: float) -> tuple[str, ...]:
     """Sentences on where the model or its mean may not hold."""
     found = []
-    froude = froude_number(scene.geometry, scene.speed)
-    if froude > _CASCADING:
-        found.append(
-            f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "
-            "cataracts, which a single free surface does not show"
-        )
     if rotation_ratio < _SLIDING:
         found.append(
             f"the bed turns at {rotation_ratio:.2f} of the vessel's speed below its layer: it "

@@ -20,7 +20,6 @@ from scaleup.api import (
     cut_fraction,
     cut_fraction_of_cells,
     fill_to_volume,
-    froude_number,
     on_root_alone,
 )
 
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 
 _STILL = 0.01  # of the rim's speed: slower powder between full cells is at rest
 _NARROW = 1e-3  # of a face's open area counts as wet at least where both cells hold powder
-_CASCADING = 0.05  # Froude number beyond which grains begin to leave the bed's surface
 _MARGIN = 1e-4  # of the reach: how far from the mirror plane points are kept
 _MARGIN_CELLS = 2.0  # cells beyond the wall at whose corners the level set is wanted
 _DRIFTS = 0.02  # of the bed's volume: sum of corrections beyond which it is said
@@ -477,12 +475,7 @@ def _summary(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) -> 
 def _warnings(flow: VesselFlow, run: Turned, scene: Scene, builder: _Builder) -> tuple[str, ...]:
     """Sentences on where the model or its periodic part may not hold."""
     found = []
-    froude, reach = froude_number(scene.geometry, scene.speed), scene.geometry.reach
-    if froude > _CASCADING:
-        found.append(
-            f"the Froude number is {froude:.2g}: beyond {_CASCADING:g} a bed cascades or "
-            "cataracts, which a single free surface does not show"
-        )
+    reach = scene.geometry.reach
     size = flow.numerics.fine_size
     if _LAYER_ELEMENTS * size > reach / 5.0:
         found.append(

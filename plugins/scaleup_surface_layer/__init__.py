@@ -9,6 +9,7 @@ from pydantic import Field
 from scaleup.api import (
     FlowField,
     Geometry,
+    Material,
     Memory,
     PluginOptions,
     Progress,
@@ -63,6 +64,14 @@ class SurfaceLayer:
         if self._closed(geometry):
             require_drum("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
         require_rolling("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
+
+    def cautions(
+        self, geometry: Geometry, material: Material, speed: float, fill_volume: float
+    ) -> tuple[str, ...]:
+        """On the regime, beds that slide and lumps; the last two are refused if they are sure."""
+        from scaleup_surface_layer.cautions import cautions_of
+
+        return cautions_of(geometry, material, speed, fill_volume)
 
     def solve(
         self, scene: Scene, comm: Any, progress: Progress, memory: Memory

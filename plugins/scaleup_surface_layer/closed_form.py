@@ -31,7 +31,6 @@ from scaleup.api import (
     Scene,
     fill_to_volume,
     flow_from_stream_function,
-    froude_number,
     level_height,
 )
 
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
 
 
-_ROLLING = 1e-2  # Froude number beyond which inertia bends the surface
 _CHORD_END = 1e-3  # where the chord counts as ended: 1 - s^2/L^2
 
 
@@ -196,12 +194,6 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
 def _warnings(scene: Scene, bed: RollingBed) -> tuple[str, ...]:
     """Sentences on where the model's assumptions do not hold."""
     found = []
-    froude = froude_number(scene.geometry, scene.speed)
-    if froude > _ROLLING:
-        found.append(
-            f"the Froude number is {froude:.2g}: beyond {_ROLLING:g} the surface is no longer "
-            "plane and the surface-layer model overstates its flatness"
-        )
     depth = bed.radius - bed.distance
     if bed.thickness > 0.5 * depth:
         found.append(f"the layer is {bed.thickness / depth:.0%} of the bed's depth: it is not thin")

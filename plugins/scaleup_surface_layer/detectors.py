@@ -19,14 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from scaleup.api import GRAVITY, FloatArray, Scene, froude_number
+from scaleup.api import GRAVITY, FloatArray, Scene
 from scaleup_surface_layer.lab_columns import BedStep
 from scaleup_surface_layer.layer_closing import Quality
 from scaleup_surface_layer.revolution import Revolution
 from scaleup_surface_layer.turned_vessel import Outline
 from scaleup_surface_layer.vessel_frame import VesselFrame
 
-_ROLLING = 1e-2  # Froude number up to which a bed rolls (Oba & Otsuki, arXiv 2407.19466)
 _BOUNDS = {"slump": 0.3, "thick": 0.5, "steep": 0.05, "roof": 0.02, "overhang": 0.01}
 _SENTENCES = {
     "slump": "the layer's speed reaches {worst:.2g} of free fall through the bed's height",
@@ -131,12 +130,6 @@ class Findings:
     def warnings(self) -> tuple[str, ...]:
         """Sentences on where the model's assumptions do not hold."""
         found = []
-        froude = froude_number(self.scene.geometry, self.scene.speed)
-        if froude > _ROLLING:
-            found.append(
-                f"the Froude number is {froude:.2g}: beyond {_ROLLING:g} inertia bends the "
-                "surface, which this model leaves out"
-            )
         for name, bound in _BOUNDS.items():
             values = self._series[name]
             beyond = values > bound

@@ -285,10 +285,8 @@ def test_a_balance_of_many_segments_closes_in_every_cell():
 def test_detectors_tell_what_is_wrong_and_when():
     fast = general(Vee(radius=0.3), 24, 0.4, speed=2 * math.pi * 20 / 60, intervals=24)
     said = " ".join(fast.warnings)
-    assert "Froude number" in said
     assert "free fall" in said
     assert " deg" in said
     assert fast.summary["detector_slump"] > 0.3
     calm = general(closed_drum(), 24, 0.3, intervals=40, shear_rate=100.0)
-    assert not any("Froude" in sentence for sentence in calm.warnings)
     assert calm.summary["detector_slump"] < fast.summary["detector_slump"]
