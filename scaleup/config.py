@@ -9,23 +9,27 @@ loading pattern when a later layer names another one; all else is merged key by 
 from __future__ import annotations
 
 import math
+import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from scaleup import registry, units
-from scaleup.errors import InputError
-from scaleup.loading_file import read_loading
+from scaleup.errors import InputError, did_you_mean, shortened, shown
+from scaleup.feasibility import require_feasible
+from scaleup.files import read_text
 from scaleup.registry import Kind
-from scaleup.scene import Diffusion, Material, Model, Operation
-from scaleup.vessel_shape import level_height, require_resolved, require_vessel
+from scaleup.scene import Diffusion, Material, Model, Operation, SmallShare
+from scaleup.units import Quantity, in_likely_units, quantity_of
+from scaleup.vessel_shape import Bed, level_height
 
 PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
-_MOST_POINTS, _MOST_CELLS = 1e5, 2e9
+_DEEPEST = 6  # tables within each other; no key needs as many
 _EXCLUSIVE = {("operation", "fill"), ("grid",)}
 _CHOICE: dict[tuple[str, ...], str] = {
     ("geometry",): "name",
@@ -53,11 +57,11 @@ class GridChoice(Model):
 class Accuracy(Model):
     """What the error estimate is and what is asked of it."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    tolerance: SmallShare = 0.02
     """wanted error of the segregation intensity"""
     estimate: bool = True
     """repeat the mixing on cells twice as large (an eighth of the cost) to see the change"""
-    blended_rsd: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    blended_rsd: SmallShare = 0.05
     """relative standard deviation below which the powder counts as blended"""
     scrutiny: Annotated[float, Field(ge=1, le=1000)] = 5.0
     """scale of scrutiny: edge of a sample, in grain diameters"""
@@ -127,6 +131,17 @@ def compose(
         assigned = _merged(assigned, _spelt_out(_assigned(text)), within_layer=True)
     command_line = _merged(assigned, flags or {}, within_layer=True)
     layers = [_spelt_out(_read(file)) if file else {}, command_line]
+    try:
+        return _composed(layers, flow_must_accept)
+    except InputError as error:
+        hint = _likelier(error, layers, flow_must_accept)
+        if not hint:
+            raise
+        raise InputError(f"{error}{hint}") from None
+
+
+def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> RunConfig:
+    """The configuration of the user's layers. Raises InputError."""
     user: dict[str, Any] = {}
     for layer in layers:
         user = _merged(user, layer)
@@ -145,11 +160,49 @@ def compose(
         section = dict(base[kind])
         plugin = registry.load(kind, section.pop("name"))
         _validated(plugin.Options, section, f"{kind}.")
-    _check_together(config)
+    require_feasible(config, bed_at_rest(config))
     if flow_must_accept:
         config.plugin("flow").check(config.plugin("geometry"), config.operation.speed)
         flow_cautions(config)
     return config
+
+
+def _likelier(
+    error: InputError, layers: Sequence[Mapping[str, Any]], flow_must_accept: bool
+) -> str:
+    """What a bare number was likely meant to be: the same in a unit with which it is accepted."""
+    named = re.match(r"([a-z_]+(?:\.\w+)+) = ", str(error))
+    if named is None:
+        return ""
+    path = named[1].split(".")
+    user: Any = {}
+    for layer in layers:
+        user = _merged(user, layer)
+    quantity = _quantity_at(user, path)
+    for part in path:
+        user = user.get(part) if isinstance(user, Mapping) else None
+    if quantity is None or user is None:
+        return ""
+    for text in in_likely_units(user, quantity):
+        try:
+            _composed([*layers, _nested(path, text)], flow_must_accept)
+        except InputError as other:
+            if str(other).startswith(named[0]):
+                continue
+        return f'; did you mean "{text}"?'
+    return ""
+
+
+def _quantity_at(user: Mapping[str, Any], path: Sequence[str]) -> Quantity | None:
+    """The quantity that is read at a key, if it is one; of a plugin that is not named, of any."""
+    models: list[Any] = [RunConfig]
+    if path[0] in PLUGIN_SECTIONS:
+        kind: Kind = path[0]  # type: ignore[assignment]
+        names = [_section(user, kind).get("name"), *registry.available(kind)]
+        models = [registry.load(kind, n).Options for n in names if n in registry.available(kind)]
+        path = path[1:]
+    fields = [_field_at(model, path) for model in models]
+    return next((_reads(field) for field in fields if field is not None), None)
 
 
 def plugin_options(kind: Kind, name: str, assignments: Iterable[str]) -> Any:
@@ -173,39 +226,9 @@ def _default_scene(geometry: Any, user: Mapping[str, Any]) -> Mapping[str, Any]:
     return dict(scene(_validated(geometry.Options, options, "geometry.")))
 
 
-def _check_together(config: RunConfig) -> None:
-    """What one section alone cannot know. Raises InputError."""
-    geometry = config.plugin("geometry")
-    require_vessel(config.geometry["name"], geometry)
-    fill_volume(config)
-    loading = config.operation.loading
-    if loading.direction == "z" and geometry.dimension == 2:
-        raise InputError(
-            f"operation.loading.pattern = {loading.pattern!r}: layers along z need a vessel in "
-            f"3-D, and the geometry {config.geometry['name']!r} is a cross-section as it is set"
-        )
-    if loading.file is not None:
-        read_loading(loading.file, geometry.dimension)
-    centre = loading.centre
-    if centre is not None and len(centre) != geometry.dimension:
-        raise InputError(
-            f"operation.loading.centre = {list(centre)}: the geometry {config.geometry['name']!r} "
-            f"needs {geometry.dimension} coordinates"
-        )
-    points = config.operation.revolutions / config.output.metrics_every
-    if points > _MOST_POINTS:
-        raise InputError(
-            f"output.metrics_every = {config.output.metrics_every:g}: {points:.3g} points of the "
-            f"blend curve are more than {_MOST_POINTS:g}"
-        )
-    spacing, cells = grid_spacing(config), 1.0
-    require_resolved(geometry, spacing)
-    for low, high in zip(geometry.lower, geometry.upper, strict=True):
-        cells *= (high - low) / spacing
-    if cells > _MOST_CELLS:
-        raise InputError(
-            f"grid: a spacing of {spacing:.3g} m gives {cells:.3g} cells, more than {_MOST_CELLS:g}"
-        )
+def bed_at_rest(config: RunConfig) -> Bed:
+    """The level bed in the vessel before it turns. Raises InputError if there can be none."""
+    return Bed(config.plugin("geometry"), fill_volume(config), grid_spacing(config))
 
 
 def flow_cautions(config: RunConfig) -> tuple[str, ...]:
@@ -260,11 +283,28 @@ def grid_spacing(config: RunConfig) -> float:
 
 def _read(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_text(file))
     except OSError as error:
         raise InputError(f"the configuration {file} cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        raise InputError(
+            f"the configuration {file} is no text in UTF-8 (byte 0x{byte:02x} at {error.start}); "
+            "save it as UTF-8"
+        ) from error
+    except (ValueError, RecursionError) as error:
         raise InputError(f"the configuration {file} is not TOML: {error}") from error
+    _require_shallow(tables, f"the configuration {file}")
+    return tables
+
+
+def _require_shallow(value: Any, what: str) -> None:
+    level: list[Any] = [value]
+    for _ in range(_DEEPEST):
+        inner = [i.values() if isinstance(i, Mapping) else i for i in level]
+        level = [x for i in inner for x in i if isinstance(x, Mapping | list)]
+    if level:
+        raise InputError(f"{what} holds tables more than {_DEEPEST} deep; no key is")
 
 
 def _spelt_out(layer: Mapping[str, Any]) -> dict[str, Any]:
@@ -278,15 +318,21 @@ def _spelt_out(layer: Mapping[str, Any]) -> dict[str, Any]:
 def _assigned(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     path = key.strip().split(".")
-    if not equals or len(path) < 2 or not all(path):
-        raise InputError(f"--set {text!r}: write it as section.key=value")
+    if not equals or not 2 <= len(path) <= _DEEPEST or not all(path):
+        raise InputError(f"--set {shown(text)}: write it as section.key=value")
     try:
-        parsed: Any = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        table = tomllib.loads(f"value = {value}")
+        parsed: Any = table["value"] if len(table) == 1 else value.strip()
+    except (ValueError, RecursionError):
         parsed = value.strip()
+    _require_shallow([parsed], f"--set {shown(text)}")
+    return _nested(path, parsed)
+
+
+def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
     for part in reversed(path):
-        parsed = {part: parsed}
-    return dict(parsed)
+        value = {part: value}
+    return dict(value)
 
 
 def _merged(
@@ -315,13 +361,13 @@ def _replaces(path: tuple[str, ...], old: Mapping[str, Any], new: Mapping[str, A
 def _section(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     section = tables.get(name, {})
     if not isinstance(section, Mapping):
-        raise InputError(f"{name} = {section!r}: must be a table with a name")
+        raise InputError(f"{name} = {shown(section)}: must be a table with a name")
     return section
 
 
 def _text(key: str, value: Any) -> str:
     if not isinstance(value, str):
-        raise InputError(f"{key} = {value!r}: must be a text")
+        raise InputError(f"{key} = {shown(value)}: must be a text")
     return value
 
 
@@ -332,30 +378,59 @@ def _validated(model: type[Any], data: Mapping[str, Any], prefix: str) -> Any:
         raise InputError(_sentence(error, prefix, model)) from None
 
 
+_BOUNDS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
 def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
     """The first of pydantic's findings as one sentence: key = value: rule."""
     findings = error.errors()
     first = findings[0]
-    key = prefix + ".".join(str(part) for part in first["loc"])
+    path = [str(part) for part in first["loc"]]
     if first["type"] == "extra_forbidden":
-        rule = "unknown key"
-        known = _known_keys(model, first["loc"][:-1])
-        if known:
+        known = _known_keys(model, path[:-1])
+        rule = "unknown key" + (did_you_mean(path[-1], known) if known else "")
+        if known and "did you mean" not in rule:
             rule += f"; known here: {', '.join(known)}"
+    elif first["type"] in _BOUNDS:
+        name, words = _BOUNDS[first["type"]]
+        field, limit = _field_at(model, path), first["ctx"][name]
+        quantity = None if field is None else _reads(field)
+        rule = f"must be {words} {quantity.shown(limit) if quantity and limit else f'{limit:g}'}"
     else:
         rule = first["msg"].removeprefix("Value error, ")
         rule = rule[:1].lower() + rule[1:]
     value = first["input"]
     tell = first["type"] != "missing" and (not isinstance(value, Mapping) or len(value) <= 3)
-    shown = f" = {value!r}" if tell else ""
+    key = prefix + ".".join(shortened(part, 40) for part in path)
     more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-    return f"{key.rstrip('.')}{shown}: {rule}{more}"
+    return f"{key.rstrip('.')}{f' = {shown(value)}' if tell else ''}: {rule}{more}"
 
 
-def _known_keys(model: type[Any], path: tuple[Any, ...]) -> list[str]:
+def _field_at(model: Any, path: Sequence[str]) -> FieldInfo | None:
+    """The field at a path of keys, which may end in numbers of a list's entries."""
+    field: FieldInfo | None = None
     for part in path:
+        if not hasattr(model, "model_fields"):
+            return field if part.isdigit() else None
         field = model.model_fields.get(part)
-        if field is None or not hasattr(field.annotation, "model_fields"):
-            return []
+        if field is None:
+            return None
         model = field.annotation
-    return list(model.model_fields)
+    return field
+
+
+def _reads(field: FieldInfo) -> Quantity | None:
+    """The quantity that a field reads, if it is one."""
+    found = (quantity_of(part) for part in (*field.metadata, field.annotation))
+    return next((each for each in found if each is not None), None)
+
+
+def _known_keys(model: type[Any], path: Sequence[str]) -> list[str]:
+    field = _field_at(model, path) if path else None
+    inner = model if field is None and not path else getattr(field, "annotation", None)
+    return list(getattr(inner, "model_fields", ()))

@@ -1,7 +1,8 @@
-"""Writing files whole: a reader, or a run that is killed, never meets half of one."""
+"""Text files: read as editors save them; written whole, so that nobody meets half of one."""
 
 from __future__ import annotations
 
+import codecs
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +23,18 @@ def replacing(path: Path) -> Iterator[Path]:
 def temporary_name(path: Path) -> Path:
     """A name beside `path` that no other process uses."""
     return path.with_name(f".{path.name}.{os.getpid()}")
+
+
+def read_text(path: Path) -> str:
+    """The text of a file in UTF-8 or, if it begins with the mark of that, UTF-16.
+
+    Line ends are those of any system; a mark at the beginning is left out. Raises OSError and
+    UnicodeDecodeError.
+    """
+    content = path.read_bytes()
+    utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = content.decode("utf-16" if utf16 else "utf-8-sig")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_text(path: Path, text: str) -> None:

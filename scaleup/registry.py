@@ -7,7 +7,9 @@ it is reported with its distribution's name.
 from __future__ import annotations
 
 import importlib.util
+import sys
 import warnings
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
@@ -27,7 +29,7 @@ def available(kind: Kind) -> dict[str, EntryPoint]:
     Raises PluginError if two distributions register the same name.
     """
     found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=GROUPS[kind]), key=lambda p: p.name):
+    for point in registered(GROUPS[kind], tuple(sys.path)):
         other = found.get(point.name)
         if other is None:
             found[point.name] = point
@@ -37,6 +39,12 @@ def available(kind: Kind) -> dict[str, EntryPoint]:
                 f"{distribution(point)}; uninstall one of them"
             )
     return found
+
+
+@lru_cache
+def registered(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Entry points of a group by name, read once: a search of all that is installed on `path`."""
+    return tuple(sorted(entry_points(group=group), key=lambda point: point.name))
 
 
 def load(kind: Kind, name: str) -> Any:

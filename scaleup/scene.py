@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FilePath, field_validator, model_validator
 
@@ -61,15 +61,15 @@ class Material(Model):
         return math.sin(self.friction_angle)
 
 
-Share = Annotated[float, Field(gt=0, lt=1)]
+SmallShare = Annotated[units.Share, Field(gt=0, lt=1)]
 
 
 class Fill(Model):
     """How much powder, in exactly one of three ways."""
 
-    depth_ratio: Share | None = None
+    depth_ratio: SmallShare | None = None
     """greatest depth of the level bed over the height of the vessel at rest"""
-    volume_fraction: Share | None = None
+    volume_fraction: SmallShare | None = None
     """bed volume over vessel volume"""
     mass: units.Mass | None = None
     """kg"""
@@ -101,7 +101,7 @@ class Loading(Model):
     """"side-by-side" along x, "front-back" along z (the axis: what is called left-right of a
     V-blender), "top-bottom" along y: one component a layer; "layered": components in any order;
     "region": a disc or ball of one component in the rest; "file": as measured or computed"""
-    shares: tuple[Share, ...] | None = None
+    shares: tuple[SmallShare, ...] | None = None
     """of the bed's volume, layer by layer; default halves, for "layered" thirds"""
     along: Direction | None = None
     """for "layered": the direction across the layers; default "y" (on top of each other)"""
@@ -167,6 +167,9 @@ class Loading(Model):
         return tuple(range(1, len(self.layers) + 1))
 
 
+_REVERSALS = ("reversal", "reversals", "reverse", "reverse_every", "reverse_after", "direction")
+
+
 class Operation(Model):
     """How the vessel is filled and turned."""
 
@@ -174,10 +177,31 @@ class Operation(Model):
     """rad/s, counter-clockwise about +z"""
     fill: Fill = Fill(depth_ratio=0.35)
     loading: Loading = Loading()
-    revolutions: Annotated[float, Field(gt=0, le=10000)] = 3.0
+    revolutions: Annotated[float, Field(ge=1e-3, le=10000)] = 3.0
     """how long to blend"""
     start: Literal["level-bed", "steady"] = "level-bed"
     """revolution 0: the settled level bed (lifted rigidly until it flows), or the steady flow"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _turns_one_way(cls, data: Any) -> Any:
+        reversals = [key for key in data if key in _REVERSALS] if isinstance(data, dict) else []
+        if reversals:
+            raise ValueError(
+                f"{reversals[0]} is not supported: the vessel turns one way, counter-clockwise, at "
+                "one speed"
+            )
+        return data
+
+    @field_validator("speed", mode="before")
+    @classmethod
+    def _turns_counter_clockwise(cls, speed: Any) -> Any:
+        if isinstance(speed, int | float | str) and units.to_si(speed, "rad/s") < 0:
+            raise ValueError(
+                "the vessel turns counter-clockwise; for the other way mirror the loading, left "
+                "for right, and give the speed without its sign"
+            )
+        return speed
 
     @property
     def period(self) -> float:

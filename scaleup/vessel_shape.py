@@ -2,15 +2,59 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from scaleup.errors import InputError
+from scaleup.grid import BoolArray, FloatArray
 from scaleup.scene import GRAVITY
+from scaleup.units import LENGTH, SPEED
 
 _REACH = (5e-3, 20.0)  # m, of vessels that powder is blended in
 _CELLS_ACROSS = 2.0  # least number of cells across the thinnest part inside a vessel
+
+
+@dataclass(frozen=True)
+class Bed:
+    """The level bed in the vessel at rest, on cells of edge `spacing` (m); `volume` in m^3."""
+
+    geometry: Any
+    volume: float
+    spacing: float
+
+    @cached_property
+    def top(self) -> float:
+        """Height y of its surface, m."""
+        return level_height(self.geometry, self.volume)
+
+    @property
+    def depth(self) -> float:
+        """From its surface to the vessel's lowest point, m."""
+        return self.top - float(self.geometry.lower[1])
+
+    @property
+    def cells(self) -> float:
+        """How many full cells it holds."""
+        cell = self.spacing**self.geometry.dimension * self.geometry.depth
+        return float(self.volume / cell)
+
+    @property
+    def cells_of_box(self) -> float:
+        """How many cells the box around the vessel has."""
+        lower, upper = self.geometry.lower, self.geometry.upper
+        edges = (max(1.0, (b - a) / self.spacing) for a, b in zip(lower, upper, strict=True))
+        return float(math.prod(edges))
+
+    def holds(self, points: FloatArray) -> BoolArray:
+        """Which of the points (n, dimension), in m, lie in it."""
+        below: BoolArray = points[:, 1] <= self.top
+        found = np.zeros(len(points), dtype=bool)
+        found[below] = self.geometry.signed_distance(points[below]) > 0
+        return found
 
 
 def symmetry(geometry: Any) -> tuple[tuple[float, ...], ...]:
@@ -23,9 +67,9 @@ def require_vessel(name: str, geometry: Any) -> None:
     least, most = _REACH
     if not least <= geometry.reach <= most:
         raise InputError(
-            f"geometry.name = {name!r}: the vessel reaches {geometry.reach:.4g} m from its axis "
-            f"and holds {geometry.volume:.3g} m^3, but must reach {least:g} to {most:g} m; check "
-            "the unit of its dimensions"
+            f"geometry.name = {name!r}: the vessel reaches {LENGTH.shown(geometry.reach)} from its "
+            f"axis and holds {1e3 * geometry.volume:.3g} litres, but must reach "
+            f"{LENGTH.shown(least)} to {LENGTH.shown(most)}; check the unit of its dimensions"
         )
     if not axis_meets(geometry):
         raise InputError(
@@ -48,9 +92,9 @@ def require_resolved(geometry: Any, spacing: float) -> None:
     thinnest = float(getattr(geometry, "thinnest", np.inf))
     if thinnest < _CELLS_ACROSS * spacing * (1 - 1e-9):
         raise InputError(
-            f"grid: cells of {spacing:.3g} m do not resolve a part of the vessel that is "
-            f"{thinnest:.3g} m thick; take cells of {thinnest / _CELLS_ACROSS:.3g} m or less, or a "
-            "thicker part"
+            f"grid: cells of {LENGTH.shown(spacing)} do not resolve a part of the vessel that is "
+            f"{LENGTH.shown(thinnest)} thick; take cells of "
+            f"{LENGTH.shown(thinnest / _CELLS_ACROSS)} or less, or a thicker part"
         )
 
 
@@ -68,7 +112,7 @@ def is_circle(geometry: Any) -> bool:
 def level_height(geometry: Any, volume: float) -> float:
     """Height y (m) of the level bed of a given volume (m^3) in the vessel at rest, by bisection."""
     low, high = geometry.lower[1], geometry.upper[1]
-    for _ in range(100):
+    for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if geometry.volume_below(middle) < volume else (low, middle)
     return float(0.5 * (low + high))
@@ -94,6 +138,6 @@ def require_rolling(flow: str, geometry: Any, speed: float, froude_below: float)
     froude = froude_number(geometry, speed)
     if froude >= froude_below:
         raise InputError(
-            f"operation.speed = {speed:.4g} rad/s: the Froude number {froude:.3g} must be below "
+            f"operation.speed = {SPEED.shown(speed)}: the Froude number {froude:.3g} must be below "
             f"{froude_below:g} for flow {flow!r}; such a bed does not roll"
         )

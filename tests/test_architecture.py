@@ -25,7 +25,7 @@ FLOORS = [
     },
     {"flux_correction", "step_guard", "flow_check"},
     {"explicit_transport", "bed_support"},
-    {"api", "loading", "diffusion_tensor", "metrics"},
+    {"api", "loading", "diffusion_tensor", "metrics", "feasibility"},
     {"ray_kernel"},
     {"testing", "config", "storage", "figures", "verification", "skeleton", "bed_view"},
     {"results", "bed_figures", "costs"},

@@ -175,8 +175,8 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
             "flow.start_up = true: for 2-D only",
         ),
         (
-            ["--geometry", "drum", "--set", "geometry.diameter=140"],
-            "reaches 70 m from its axis and holds 154 m^3, but must reach 0.005 to 20 m",
+            ["--geometry", "drum", "--set", "geometry.diameter=50 m"],
+            "reaches 25 m from its axis and holds 1.96e+04 litres, but must reach 5 mm to 20 m",
         ),
         (
             [

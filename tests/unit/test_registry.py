@@ -11,7 +11,7 @@ from scaleup.errors import PluginError
 @pytest.fixture
 def entry_points(monkeypatch):
     def register(*points):
-        monkeypatch.setattr(registry, "entry_points", lambda group: list(points))
+        monkeypatch.setattr(registry, "registered", lambda group, path: points)
 
     return register
 

@@ -115,8 +115,8 @@ def test_sizes_grow_at_one_froude_number_and_given_dimensions_win():
     ("name", "assignments", "sentence"),
     [
         ("drum", ["geometry.baffles=4", "geometry.baffle_thickness=1 mm", "grid.spacing=2 mm"],
-         "grid: cells of 0.002 m do not resolve a part of the vessel that is 0.001 m thick"),
-        ("drum", ["geometry.diameter=140"], "the vessel reaches 70 m from its axis"),
+         "grid: cells of 2 mm do not resolve a part of the vessel that is 1 mm thick"),
+        ("drum", ["geometry.diameter=50 m"], "the vessel reaches 25 m from its axis"),
         ("drum", ["geometry.baffles=20", "geometry.baffle_height=6 cm"], "meet at their tips"),
         ("drum", ["geometry.baffles=4"], "holds for a circular cross-section about the axis"),
         ("drum", ["geometry.end_walls=true", "geometry.width=1"], "takes a length, not a width"),
