@@ -376,6 +376,19 @@ def _validated(model: type[Any], data: Mapping[str, Any], prefix: str) -> Any:
         return model.model_validate(data)
     except ValidationError as error:
         raise InputError(_sentence(error, prefix, model)) from None
+    except OSError as error:  # a file's name that the system cannot even look up
+        key = prefix + ".".join(_path_to(str(error.filename), data) or ["file"])
+        raise InputError(f"{key} = {shown(error.filename)}: {error.strerror}") from None
+
+
+def _path_to(value: Any, tables: Any) -> list[str] | None:
+    """The keys under which a value is found in nested tables."""
+    if isinstance(tables, Mapping):
+        for key, inner in tables.items():
+            found = [] if inner == value else _path_to(value, inner)
+            if found is not None:
+                return [key, *found]
+    return None
 
 
 _BOUNDS = {
