@@ -15,15 +15,18 @@ HEAD = """# Configuration
 
 Every table and key of a run (this page is written by `tools/configuration_page.py`). Quantities
 carry units (`"140 mm"`, `"6 rpm"`, `"23.6 deg"`); bare numbers are SI, and defaults below are SI.
-Units may be spelt as people do (`RPM`, `rev/min`, `kg/m3`, `m³`, `g·cm⁻³`, `38°`, `35 %`) and numbers
-with a decimal comma where it cannot be one of thousands. A speed in Hz or 1/min counts turns; 1/s is
-refused, since it may count turns or radians. The file is UTF-8, with or without a byte order mark, or
-UTF-16 with one. A misspelt key is an error, and so is what cannot be: a bed without room to flow (more
-than 95 % of the vessel), less than 4 grains or 3 cells deep, or of less than 30 cells; cells or memory
+Units may be spelt as people do (`RPM`, `rev/min`, `kg/m3`, `m³`, `g·cm⁻³`, `38°`, `35 %`) and
+numbers with a decimal comma where it cannot be one of thousands. A speed in Hz or 1/min counts
+turns; 1/s is refused, since it may count turns or radians. The file is UTF-8, with or without a
+byte order mark, or UTF-16 with one. A misspelt key is an error. The kinds of `operation.fill` and
+of `grid` exclude each other: setting one replaces the other. A geometry's default scene comes
+before the defaults here.
+
+What cannot be is refused before anything is computed: a bed without room to flow (more than 95 %
+of the vessel), less than 4 grains or 3 cells deep, or of less than 30 cells; cells or memory
 beyond the machine's; samples that do not fit the bed; more than 10^5 points of the blend curve and
 snapshots or 10^8 mixing steps; a layer or region of less than a cell. A vessel turns one way,
-counter-clockwise: for the other way mirror the loading. The kinds of `operation.fill` and of `grid` exclude each other: setting
-one replaces the other. A geometry's default scene comes before the defaults here.
+counter-clockwise: for the other way mirror the loading.
 """
 
 

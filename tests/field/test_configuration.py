@@ -38,7 +38,7 @@ def test_a_file_is_read_as_editors_save_it(tmp_path, content):
 
 def test_a_file_that_is_no_text_says_how_to_save_it(tmp_path):
     (tmp_path / "run.toml").write_bytes(SCENE.encode("cp1252"))
-    with pytest.raises(InputError, match="no text in UTF-8 .byte 0xb0 at 32.; save it as UTF-8"):
+    with pytest.raises(InputError, match=r"no text in UTF-8 .byte 0xb0 at 32.; save it as UTF-8"):
         compose(tmp_path / "run.toml", [], FAST)
 
 
@@ -51,12 +51,12 @@ def test_a_file_that_is_no_text_says_how_to_save_it(tmp_path):
           "6\u00a0rpm", "6\u202frpm", "６ rpm"]),
         ("kg/m^3", 500.0,
          ["500 kg/m3", "500 kg/m^3", "500 kg/m³", "500 kg m^-3", "500 kg m-3", "500 kg·m⁻³",
-          "500 KG/M3", "0.5 g/cm3", "0,5 g/cm³", "0.5 kg/l", "0.5 kg/L", "0.5 t/m3", "500 kg/m**3"]),
+          "500 KG/M3", "0.5 g/cm3", "0,5 g/cm³", "0.5 kg/l", "0.5 kg/L", "0.5 t/m3"]),
         ("m", 0.14,
          ["140 mm", "140mm", "140 MM", "14 CM", "0,14 m", "0.14 Meters", "140000 µm", "140000 μm",
           "140000 um", "140.0 millimetres"]),
         ("m", 0.1397, ["5.5 in", '5.5"', "5.5 inches"]),
-        ("rad", math.radians(38), ["38 deg", "38°", "38 °", "38º", "38 deg.", "38 DEG", "38 degrees"]),
+        ("rad", math.radians(38), ["38 deg", "38°", "38 °", "38º", "38 deg.", "38 DEG"]),
         ("Pa", 1000.0, ["1 kPa", "1 KPA", "1 kN/m2", "10 mbar", "0.001 N/mm²"]),
         ("", 0.35, ["35 %", "35%", "0,35", "35 percent"]),
     ],
