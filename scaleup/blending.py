@@ -34,6 +34,7 @@ class Blend:
     intensity, intensity_sample -- of component 1
     lacey, rsd -- of the component that is blended worst
     volumes  -- of each component, m^3
+    sample_volume -- m^3 of powder in a sample, on the average
     elapsed  -- s of wall-clock time, those before a resumption included
     profiles -- by revolution: depth below the surface over bed depth, and concentration
     """
@@ -158,11 +159,8 @@ def _measure(
     revolution: float,
     concentration: FloatArray,
 ) -> None:
-    material = config.material
-    edge = config.accuracy.scrutiny * material.grain_diameter
-    sampler = Sampler(flow.grid, interval, time_in_interval, edge)
-    grains = material.solid_fraction / (math.pi / 6 * material.grain_diameter**3)
-    components = [sampler.measure(component, grains) for component in concentration]
+    sampler = Sampler(flow.grid, interval, time_in_interval, config.sample_edge)
+    components = [sampler.measure(component) for component in concentration]
     blend.revolutions.append(revolution)
     blend.intensity.append(components[0].intensity)
     blend.intensity_sample.append(components[0].intensity_sample)

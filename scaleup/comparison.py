@@ -17,6 +17,7 @@ from scaleup.config import compose
 from scaleup.errors import InputError
 from scaleup.files import write_text
 from scaleup.results import Results
+from scaleup.sampling import samples_of
 
 _MARKS = (1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # revolutions that all runs are read at
 _FIGURES: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -106,6 +107,7 @@ def _outcomes(runs: Sequence[Run]) -> list[list[str]]:
         rows.append([f"I after {mark:g} rev", *(_shown(_intensity(run, mark)) for run in runs)])
     for title, (section, key) in _FIGURES:
         rows.append([title, *(_shown(run.report[section].get(key)) for run in runs)])
+    rows.append(["measured on", *(samples_of(run.report["mixing"]) for run in runs)])
     rows.append(["warnings", *(str(len(run.report["warnings"])) for run in runs)])
     return rows
 

@@ -65,6 +65,8 @@ class Accuracy(Model):
     """relative standard deviation below which the powder counts as blended"""
     scrutiny: Annotated[float, Field(ge=1, le=1000)] = 5.0
     """scale of scrutiny: edge of a sample, in grain diameters"""
+    sample_mass: units.Mass | None = None
+    """kg, of a sample, in place of scrutiny"""
 
 
 class Output(Model):
@@ -92,6 +94,13 @@ class RunConfig(Model):
     grid: GridChoice
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
+
+    @property
+    def sample_edge(self) -> float:
+        """Edge, m, of the samples that are asked for: cubes."""
+        if self.accuracy.sample_mass is not None:
+            return float((self.accuracy.sample_mass / self.material.bulk_density) ** (1 / 3))
+        return self.accuracy.scrutiny * self.material.grain_diameter
 
     def options(self, kind: Kind) -> Any:
         """The chosen plugin's validated Options."""

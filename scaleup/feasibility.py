@@ -76,12 +76,15 @@ def require_grid(config: RunConfig, bed: Bed) -> None:
 
 def require_samples(config: RunConfig, bed: Bed) -> None:
     """Samples that fit into the bed, some beside each other."""
-    edge = config.accuracy.scrutiny * config.material.grain_diameter
+    edge, mass = config.sample_edge, config.accuracy.sample_mass
+    given = f"accuracy.scrutiny = {config.accuracy.scrutiny:g}"
+    if mass is not None:
+        given = f"accuracy.sample_mass = {mass:g} kg"
     area = bed.volume / bed.geometry.depth
     count = area / edge**2 if bed.geometry.dimension == 2 else bed.volume / edge**3
     if edge > bed.depth or count < _SAMPLES:
         raise InputError(
-            f"accuracy.scrutiny = {config.accuracy.scrutiny:g}: samples of {LENGTH.shown(edge)} do "
+            f"{given}: samples of {LENGTH.shown(edge)} do "
             f"not fit a bed that is {LENGTH.shown(bed.depth)} deep and holds {count:.2g} of them"
         )
 

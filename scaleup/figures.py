@@ -156,7 +156,7 @@ def blend_curves(path: Path, runs: Sequence[tuple[str, Mapping[str, Any]]]) -> N
         axes[0].plot(mixing["revolutions"], mixing["segregation_intensity"], label=name)
         axes[1].plot(mixing["revolutions"], mixing["rsd"], label=name)
     axes[0].set(ylabel="segregation intensity I over nodes", ylim=(0, None))
-    axes[1].set(ylabel="relative standard deviation at scrutiny", yscale="log")
+    axes[1].set(ylabel="relative standard deviation of samples", yscale="log")
     for axis in axes:
         axis.set_xlabel("revolutions")
         axis.grid(alpha=0.3, which="both")

@@ -7,6 +7,13 @@ Over nodes, as Liu, Gonzalez & Wassgren 2018 (Eq. 22-25):
 At a scale of scrutiny the bed is cut into boxes of that edge; a sample's concentration is the
 fill-weighted mean in its box, samples are weighted by their fill, and boxes less than half full
 are left out.
+
+Lacey's index compares the variance s^2 of samples of N grains with that of unmixed powder,
+s0^2 = c (1 - c), and of a random mixture, sr^2 = s0^2/N: (s0^2 - s^2)/(s0^2 - sr^2) (Lacey 1954,
+J. Appl. Chem. 4, 257). A continuum's concentrations are those that grains are drawn from: the
+variance v of samples over concentrations lacks what the drawing adds, the mean of c_i (1 - c_i)/N,
+that is (s0^2 - v)/N, and can fall below sr^2. With s^2 = v + (s0^2 - v)/N the index is 1 - v/s0^2,
+whatever N: between 0 and 1.
 """
 
 from __future__ import annotations
@@ -20,6 +27,7 @@ from scipy.ndimage import map_coordinates
 from scaleup.errors import InputError
 from scaleup.flow_field import Interval
 from scaleup.grid import FloatArray, Grid
+from scaleup.units import LENGTH
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,7 @@ class Mixedness:
 
     intensity        -- segregation intensity over nodes (cells at least half full)
     intensity_sample -- the same at the scale of scrutiny
-    lacey            -- (s0^2 - s^2)/(s0^2 - sr^2), sr^2 = c(1 - c)/N for N grains a sample
+    lacey            -- Lacey's index of the grains in the samples, 0 to 1
     rsd              -- standard deviation over mean, at the scale of scrutiny
     """
 
@@ -36,6 +44,19 @@ class Mixedness:
     intensity_sample: float
     lacey: float
     rsd: float
+
+
+def sample_cells(grid: Grid, edge: float) -> list[int]:
+    """Cells along the edges of a sample that is wanted `edge` (m) long, in the arrays' order."""
+    return [
+        max(1, round(edge / grid.spacing[grid.array_axis(dim)])) for dim in range(grid.dimension)
+    ]
+
+
+def sample_edge(grid: Grid, edge: float) -> float:
+    """Edge, m, of the cube (or square) as large as a sample that is wanted `edge` (m) long."""
+    cells = math.prod(sample_cells(grid, edge)) * math.prod(grid.spacing)
+    return float(cells ** (1 / grid.dimension))
 
 
 class Sampler:
@@ -49,9 +70,7 @@ class Sampler:
         fill = interval.fill(time)
         self._node = fill >= 0.5 * grid.cell_volume
         position = np.unravel_index(interval.cells, grid.shape)
-        block = [
-            max(1, round(edge / grid.spacing[grid.array_axis(dim)])) for dim in range(len(position))
-        ]
+        block = sample_cells(grid, edge)
         shape = [n // b + 1 for n, b in zip(grid.shape, block, strict=True)]
         box = np.ravel_multi_index([p // b for p, b in zip(position, block, strict=True)], shape)
         _, self._box = np.unique(box, return_inverse=True)
@@ -59,16 +78,16 @@ class Sampler:
         full = held >= 0.5 * grid.cell_volume * math.prod(block)
         if not full.any() or self._node.sum() < 2:
             raise InputError(
-                f"accuracy.scrutiny: no sample of edge {edge:.3g} m is half full on cells of "
-                f"{min(grid.spacing):.3g} m; take smaller samples or smaller cells"
+                f"accuracy.scrutiny: no sample of {LENGTH.shown(edge)} is half full on cells of "
+                f"{LENGTH.shown(min(grid.spacing))}; take smaller samples or smaller cells"
             )
         self._fill, self._held, self._full = fill, held, full
         # a cross-section stands for any depth: its samples are as deep as they are wide
-        depth = 1.0 if grid.dimension == 3 else edge / grid.depth
+        depth = 1.0 if grid.dimension == 3 else sample_edge(grid, edge) / grid.depth
         self.sample_volume = float(held[full].mean()) * depth
 
-    def measure(self, concentration: FloatArray, grains_per_volume: float) -> Mixedness:
-        """Mixedness of a component, (n,) on the active cells; grains_per_volume in 1/m^3."""
+    def measure(self, concentration: FloatArray) -> Mixedness:
+        """Mixedness of a component, (n,) on the active cells."""
         at_nodes = concentration[self._node]
         intensity = _ratio(float(at_nodes.var(ddof=1)), float(at_nodes.mean()))
         content = np.bincount(self._box, weights=concentration * self._fill)
@@ -76,12 +95,11 @@ class Sampler:
         samples = content[self._full] / weight
         mean = float(np.average(samples, weights=weight))
         variance = float(np.average((samples - mean) ** 2, weights=weight))
-        unmixed = mean * (1 - mean)
-        random = unmixed / max(1.0, self.sample_volume * grains_per_volume)
+        of_samples = _ratio(variance, mean)
         return Mixedness(
             intensity=intensity,
-            intensity_sample=_ratio(variance, mean),
-            lacey=(unmixed - variance) / (unmixed - random) if unmixed > random else 1.0,
+            intensity_sample=of_samples,
+            lacey=1.0 - of_samples,
             rsd=math.sqrt(variance) / mean if mean > 0 else math.inf,
         )
 

@@ -7,15 +7,20 @@ from typing import Any
 
 from scaleup import costs
 from scaleup.blending import Blend, mix
+from scaleup.cautions import cautions
 from scaleup.config import (
     GridChoice,
     RunConfig,
     fill_in_all_kinds,
     fill_volume,
+    flow_cautions,
     grid_spacing,
 )
+from scaleup.feasibility import machine_memory
 from scaleup.flow_source import FlowOutcome, make_grid, obtain_flow, stored_flow
+from scaleup.sampling import Samples
 from scaleup.storage import Store
+from scaleup.units import LENGTH, SPEED
 from scaleup.vessel_shape import froude_number, require_resolved, symmetry
 
 _TRIALS = (4000.0, 16000.0)  # cells of the runs that are timed
@@ -33,7 +38,7 @@ def plan(config: RunConfig, ranks: int) -> Iterator[tuple[str, str]]:
     kind = "a cross-section, every other is alike" if grid.dimension == 2 else "a vessel in space"
     yield "model", f"{grid.dimension}-D, because the geometry {name!r} is {kind} as it is set"
     froude = froude_number(geometry, operation.speed)
-    yield "flow", f"{flow}; it accepts this vessel at Froude number {froude:.3g}"
+    yield "flow", f"{flow}, at {SPEED.shown(operation.speed)} (Froude number {froude:.3g})"
     yield "mixing", f"{mixing}, {operation.revolutions:g} revolutions"
     if symmetry(geometry):
         yield "symmetry", "the vessel mirrors in a plane across its axis; a flow model may use it"
@@ -45,9 +50,12 @@ def plan(config: RunConfig, ranks: int) -> Iterator[tuple[str, str]]:
     )
     yield (
         "grid",
-        f"cells of {1e3 * spacing:.3g} mm: {cells:.3g} full ones in the bed, "
+        f"cells of {LENGTH.shown(spacing)}: {cells:.3g} full ones in the bed, "
         f"{grid.cells:.3g} in the box",
     )
+    yield "samples", str(Samples.of(config, grid)).removeprefix("samples of ")
+    for sentence in (*flow_cautions(config), *cautions(config, grid)):
+        yield "warning", sentence
     snapshots = 2 + operation.revolutions / config.output.snapshots_every
     yield "results", f"up to {1e-6 * snapshots * _SNAPSHOT * cells:.3g} MB in results.h5"
     stored = stored_flow(config).exists()
@@ -70,7 +78,9 @@ def plan(config: RunConfig, ranks: int) -> Iterator[tuple[str, str]]:
         share = 0.5 ** (grid.dimension + 1)
         words += f"; the error estimate adds {_duration(share * total)}"
     yield "mixing time", words
-    yield "memory", f"about {1e-9 * expected.memory:.2g} GB on the first rank"
+    there = machine_memory()
+    words = f"about {1e-9 * expected.memory:.2g} GB on the first rank, of {1e-9 * there:.3g} GB"
+    yield "memory", words + ("; that is not enough" if expected.memory > there else "")
     sizes = [run.cells for run in expected.basis]
     words = f"{len(sizes)} run(s) on this machine with {min(sizes):,} to {max(sizes):,} cells"
     beyond = max(cells / max(sizes), min(sizes) / cells)

@@ -19,6 +19,7 @@ import scaleup
 from scaleup import bed_figures, figures
 from scaleup.bed_view import Picture, Wall, wall_of
 from scaleup.blending import Blend
+from scaleup.cautions import cautions
 from scaleup.config import RunConfig, compose, fill_in_all_kinds
 from scaleup.errors import InputError
 from scaleup.files import write_text
@@ -26,6 +27,7 @@ from scaleup.flow_source import FlowOutcome
 from scaleup.metrics import blend_time, decay_rate
 from scaleup.progress import Reporter
 from scaleup.results import FRAMES, PHASES, Results, instants
+from scaleup.sampling import Samples, samples_of
 from scaleup.vessel_shape import froude_number
 
 SCHEMA = "scaleup-report/1"
@@ -44,6 +46,9 @@ _UNITS = {
     "shear_rate": "1/s",
     "spacing": "m",
     "mass": "kg",
+    "edge": "m",
+    "asked_mass": "kg",
+    "asked_edge": "m",
 }
 _LONG = 12  # values of a list that a table still shows
 _OVERSHOOT, _MASS_DRIFT, _CELLS_PER_LAYER = 0.05, 2e-3, 10
@@ -80,6 +85,7 @@ def compile_report(
 ) -> dict[str, Any]:
     """All figures of a run, SI; a value that cannot be given is None with `<key>_reason`."""
     flow, interval = outcome.flow, outcome.flow.intervals[0]
+    samples = _samples(config, outcome, blend)
     blended_at = blend_time(blend.revolutions, blend.rsd, config.accuracy.blended_rsd)
     mixing: dict[str, Any] = {
         "revolutions": blend.revolutions,
@@ -87,23 +93,29 @@ def compile_report(
         "segregation_intensity_at_scrutiny": blend.intensity_sample,
         "lacey": blend.lacey,
         "rsd": blend.rsd,
-        "blend_time_revolutions": blended_at,
+        "blend_time_revolutions": blended_at if samples.resolved else None,
+        "blend_time_of_samples_revolutions": blended_at,
         "decay_rate_per_revolution": decay_rate(blend.revolutions, blend.intensity),
         "centre_line": blend.profiles,
+        "samples": samples.as_table(),
         "definitions": {
             "segregation_intensity": "Eq. 22-25 over nodes (cells at least half full), component 1",
             "lacey, rsd, blend_time": "of the component that is blended worst",
-            "at_scrutiny": f"fill-weighted samples of edge {config.accuracy.scrutiny:g} grain "
-            f"diameters, {blend.sample_volume:.3g} m^3 each",
+            "at_scrutiny": f"fill-weighted {samples}, {samples.grains:.3g} grains each; asked "
+            f"for: {samples.asked}",
+            "rsd": "of the concentrations; which grains are drawn adds what a random mixture shows",
+            "lacey": "of the grains in the samples, that is 1 - I at scrutiny",
             "blend_time": f"first revolution with RSD at scrutiny below "
             f"{config.accuracy.blended_rsd:g} for good",
         },
     }
     if blended_at is None:
-        mixing["blend_time_revolutions_reason"] = (
+        mixing["blend_time_of_samples_revolutions_reason"] = (
             f"the RSD is {blend.rsd[-1]:.3g} after {blend.revolutions[-1]:g} revolutions, still "
             f"above {config.accuracy.blended_rsd:g}"
         )
+    if mixing["blend_time_revolutions"] is None:
+        mixing["blend_time_revolutions_reason"] = _not_blended(mixing, samples)
     if mixing["decay_rate_per_revolution"] is None:
         mixing["decay_rate_per_revolution_reason"] = "fewer than four points of I below 0.8"
     ledger = blend.ledger
@@ -111,7 +123,7 @@ def compile_report(
     estimate_seconds = 0.0 if isinstance(coarse, str) else coarse.seconds
     return {
         "schema": SCHEMA,
-        "warnings": _warnings(config, outcome, blend, estimate),
+        "warnings": _warnings(config, outcome, blend, estimate, samples),
         "model": {
             "dimension": flow.grid.dimension,
             "frame": flow.frame,
@@ -165,6 +177,23 @@ def compile_report(
             **{name: _version(name) for name in _LIBRARIES},
         },
     }
+
+
+def _samples(config: RunConfig, outcome: FlowOutcome, blend: Blend) -> Samples:
+    volumes = blend.volumes[-1]
+    share = min(volumes) / sum(volumes)
+    return Samples.of(config, outcome.flow.grid, blend.sample_volume, share)
+
+
+def _not_blended(mixing: dict[str, Any], samples: Samples) -> str:
+    """Why no blend time can be given; of smaller samples than are measured there is a bound."""
+    blended_at = mixing["blend_time_of_samples_revolutions"]
+    if blended_at is None:
+        return str(mixing["blend_time_of_samples_revolutions_reason"])
+    return (
+        f"{samples} are blended after {blended_at:.3g} revolutions; the cells do not resolve the "
+        f"{samples.asked} asked for, which are blended later"
+    )
 
 
 def _flow_figures(outcome: FlowOutcome) -> dict[str, Any]:
@@ -224,10 +253,14 @@ def _error_estimate(
 
 
 def _warnings(
-    config: RunConfig, outcome: FlowOutcome, blend: Blend, estimate: dict[str, Any]
+    config: RunConfig,
+    outcome: FlowOutcome,
+    blend: Blend,
+    estimate: dict[str, Any],
+    samples: Samples,
 ) -> list[str]:
     """What a reader should know before using the figures."""
-    found = list(outcome.flow.warnings)
+    found = [*outcome.flow.warnings, *cautions(config, outcome.flow.grid, samples)]
     ledger, grid = blend.ledger, outcome.flow.grid
     if estimate["within_tolerance"] is False:
         found.append(
@@ -282,7 +315,7 @@ def _draw(
         mixing["revolutions"],
         {
             "over nodes": mixing["segregation_intensity"],
-            "at the scale of scrutiny": mixing["segregation_intensity_at_scrutiny"],
+            samples_of(mixing): mixing["segregation_intensity_at_scrutiny"],
         },
         report["error_estimate"].get("segregation_intensity_by_point"),
     )
@@ -364,6 +397,7 @@ def _html(report: dict[str, Any], pictures: list[tuple[str, Path]]) -> str:
     )
     environment.filters["figure"] = _shown
     environment.filters["label"] = _label
+    environment.filters["of_samples"] = samples_of
     embedded = [
         (caption, path.suffix[1:], base64.b64encode(path.read_bytes()).decode())
         for caption, path in pictures

@@ -104,26 +104,31 @@ def test_metrics_of_known_states():
     flow, part = box_of_powder(lambda x, y: 0 * x, lambda x, y: 0 * x, cells=60)
     sampler = Sampler(flow.grid, part, 0.0, edge=3 * flow.grid.spacing[0])
     segregated = (flow.grid.centre_points()[:, 0] < 0).astype(float)
-    state = sampler.measure(segregated, 1e9)
+    state = sampler.measure(segregated)
     assert state.intensity == pytest.approx(1.0, abs=1e-3)
     assert state.rsd == pytest.approx(1.0, abs=1e-6)
     assert state.lacey == pytest.approx(0.0, abs=1e-6)
-    uniform = sampler.measure(np.full(flow.grid.cells, 0.5), 1e9)
+    uniform = sampler.measure(np.full(flow.grid.cells, 0.5))
     assert (uniform.intensity, uniform.rsd) == pytest.approx((0.0, 0.0), abs=1e-12)
     rng = np.random.default_rng(0)
     noise = rng.random(flow.grid.cells)
-    state = sampler.measure(noise, 1e9)
+    state = sampler.measure(noise)
     assert state.intensity == pytest.approx(1 / 3, rel=0.05)  # var 1/12 over 1/4
     assert state.intensity_sample == pytest.approx(1 / 27, rel=0.15)  # nine cells a sample
 
 
-def test_lacey_is_one_for_a_random_mixture():
-    flow, part = box_of_powder(lambda x, y: 0 * x, lambda x, y: 0 * x, cells=60)
+def test_laceys_index_is_that_of_grains_drawn_from_the_concentrations():
+    flow, part = box_of_powder(lambda x, y: 0 * x, lambda x, y: 0 * x, cells=100)
     sampler = Sampler(flow.grid, part, 0.0, edge=flow.grid.spacing[0])
-    grains = 20
-    c = np.random.default_rng(2).binomial(grains, 0.5, flow.grid.cells) / grains
-    state = sampler.measure(c, grains / sampler.sample_volume)
-    assert state.lacey == pytest.approx(1.0, abs=0.01)
+    rng, grains = np.random.default_rng(2), 20
+    for spread in (0.0, 0.1, 0.4):
+        c = np.clip(0.5 + spread * rng.standard_normal(flow.grid.cells), 0, 1)
+        drawn = rng.binomial(grains, c) / grains
+        unmixed = drawn.mean() * (1 - drawn.mean())
+        index = (unmixed - drawn.var()) / (unmixed - unmixed / grains)
+        state = sampler.measure(c)
+        assert state.lacey == pytest.approx(index, abs=0.01)
+        assert 0 <= state.lacey <= 1
 
 
 def test_blend_time_is_the_last_crossing_and_decay_is_the_rate():

@@ -1,0 +1,41 @@
+"""What a reader should know of a run before it is made: said by `plan` and by the report."""
+
+from __future__ import annotations
+
+from scaleup.config import RunConfig, bed_at_rest
+from scaleup.grid import Grid
+from scaleup.sampling import Samples, unresolved
+from scaleup.vessel_shape import Bed
+
+_CELLS_DEEP, _GRAINS_DEEP, _SAMPLES = 10, 10, 20  # of a bed, wanted
+
+
+def cautions(config: RunConfig, grid: Grid, samples: Samples | None = None) -> list[str]:
+    """Sentences on the grid, the grains and the samples; those on the flow are the flow model's.
+
+    samples -- as measured; None before a run
+    """
+    bed, samples = bed_at_rest(config), samples or Samples.of(config, grid)
+    found = []
+    cells, grains = bed.depth / bed.spacing, bed.depth / config.material.grain_diameter
+    if cells < _CELLS_DEEP:
+        found.append(f"the bed is {cells:.3g} cells deep; {_CELLS_DEEP} or more are wanted")
+    if grains < _GRAINS_DEEP:
+        found.append(
+            f"the bed is {grains:.3g} grains deep; a continuum wants {_GRAINS_DEEP} or more"
+        )
+    if not samples.resolved:
+        found.append(unresolved(samples))
+    count = _count(bed, samples)
+    if count < _SAMPLES:
+        found.append(
+            f"the bed holds {count:.3g} {samples}: RSD and Lacey's index of less than {_SAMPLES} "
+            "say little"
+        )
+    return found
+
+
+def _count(bed: Bed, samples: Samples) -> float:
+    """How many samples the bed holds."""
+    size = samples.edge**bed.geometry.dimension * bed.geometry.depth
+    return float(bed.volume / size)
