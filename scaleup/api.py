@@ -153,7 +153,7 @@ class Geometry(Protocol):
     volume: float
     """m^3"""
 
-    # These three may be left out; the values after "else" are then taken.
+    # These four may be left out; the values after "else" are then taken.
     symmetry: tuple[tuple[float, ...], ...]
     """unit normals of the mirror planes, through the axis' point, that the flow shares with the
     vessel: those across the axis, that is ((0.0, 0.0, 1.0),), else ()"""
@@ -163,6 +163,8 @@ class Geometry(Protocol):
     fingerprint: str
     """a hash of what the shape depends on beside the Options, such as the content of a file; else
     empty"""
+    warnings: tuple[str, ...]
+    """sentences for the report on what was mended or should be known of the vessel; else empty"""
 
     def signed_distance(self, points: FloatArray) -> FloatArray:
         """Distance to the wall, m, positive inside; points (..., dimension) in m."""

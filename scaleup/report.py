@@ -260,7 +260,11 @@ def _warnings(
     samples: Samples,
 ) -> list[str]:
     """What a reader should know before using the figures."""
-    found = [*outcome.flow.warnings, *cautions(config, outcome.flow.grid, samples)]
+    found = [
+        *getattr(config.plugin("geometry"), "warnings", ()),
+        *outcome.flow.warnings,
+        *cautions(config, outcome.flow.grid, samples),
+    ]
     ledger, grid = blend.ledger, outcome.flow.grid
     if estimate["within_tolerance"] is False:
         found.append(

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, FilePath, field_serializer
 from scaleup.api import GRAVITY, Axis, FloatArray, InputError, PluginOptions, units
 
 if TYPE_CHECKING:
+    from scaleup_mesh.sound import Sound
     from scaleup_mesh.surface import Surface
 
 _UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -35,8 +36,8 @@ class Mesh:
         """Which file, in which unit, and how the vessel is held."""
 
         file: Annotated[FilePath, AfterValidator(Path.resolve)]
-        """STL, OBJ, PLY or OFF (a closed surface of triangles), MSH, VTK, VTU or any other file
-        that meshio reads (a closed surface or a volume mesh), STEP (one solid)"""
+        """STL, OBJ, PLY or OFF (a closed surface of triangles), VTK, VTU, VTP, MSH or any other
+        file that meshio reads (a closed surface or a volume mesh), STEP (one solid)"""
         unit: Literal["m", "cm", "mm", "in", "ft"]
         """of the file's coordinates; "mm" for STEP, which is converted to that when it is read"""
         axis_point: tuple[units.Coordinate, units.Coordinate, units.Coordinate] | None = None
@@ -72,10 +73,9 @@ class Mesh:
     dimension = 3
     depth = 1.0
     axis = Axis()
-    thinnest = math.inf
 
     def __init__(self, options: Options):
-        """Raises InputError if the file is no closed surface, or cannot be held as asked."""
+        """Raises InputError if the file is no vessel's inside, or cannot be held as asked."""
         self._options = options
         scale = _UNITS[options.unit]
         if options.file.suffix.lower() in _STEP and options.unit != "mm":
@@ -89,11 +89,15 @@ class Mesh:
         self._origin, self._surface = _held(
             options.file, stamp, scale, options.axis_point, tuple(map(tuple, self._turn))
         )
+        sound = _sound(options.file, stamp, scale)
+        where = f"geometry.file = {str(options.file)!r}"
+        self.warnings = tuple(f"{where}: {note}" for note in sound.notes)
         vertices = self._surface.vertices
         self.lower = tuple(float(x) for x in vertices.min(axis=0))
         self.upper = tuple(float(x) for x in vertices.max(axis=0))
         self.reach = float(np.hypot(vertices[:, 0], vertices[:, 1]).max())
         self.volume = self._surface.volume
+        self.thinnest = _thinnest(options.file, stamp, scale)
 
     @cached_property
     def symmetry(self) -> tuple[tuple[float, float, float], ...]:
@@ -143,6 +147,25 @@ def _fingerprint(file: Path, stamp: int) -> str:
 
 
 @lru_cache(maxsize=4)
+def _sound(file: Path, stamp: int, scale: float) -> Sound:
+    """The file's surface, in its own frame, m; read once."""
+    from scaleup_mesh.read import read_triangles
+    from scaleup_mesh.sound import sound_surface
+
+    vertices, faces, bound_cells = read_triangles(file)
+    return sound_surface(f"geometry.file = {str(file)!r}", vertices, faces, scale, bound_cells)
+
+
+@lru_cache(maxsize=4)
+def _thinnest(file: Path, stamp: int, scale: float) -> float:
+    """m, of the thinnest plate in the vessel; infinite if there is none."""
+    from scaleup_mesh.thickness import thinnest_plate
+
+    sound = _sound(file, stamp, scale)
+    return thinnest_plate(sound.vertices, sound.faces)
+
+
+@lru_cache(maxsize=4)
 def _held(
     file: Path,
     stamp: int,
@@ -150,11 +173,10 @@ def _held(
     point: Vector | None,
     turn: tuple[tuple[float, ...], ...],
 ) -> tuple[FloatArray, Surface]:
-    """A point of the axis in the file's frame, m, and the surface in the vessel's; read once."""
-    from scaleup_mesh.read import read_surface
+    """A point of the axis in the file's frame, m, and the surface in the vessel's."""
     from scaleup_mesh.surface import Surface
 
-    vertices, faces = read_surface(file)
-    vertices = vertices * scale
+    sound = _sound(file, stamp, scale)
+    vertices, faces = sound.vertices, sound.faces
     origin = Surface(vertices, faces).centroid if point is None else np.array(point)
     return origin, Surface((vertices - origin) @ np.array(turn).T, faces)

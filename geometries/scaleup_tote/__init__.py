@@ -37,7 +37,7 @@ class Tote:
         """m, height of the hopper; default 0.1, 0.29 or 0.45"""
         outlet: units.Length | None = None
         """m, edge of the square outlet; default 0.09, 0.22 or 0.35"""
-        edge_radius: Annotated[float, Field(ge=0)] | None = None
+        edge_radius: Annotated[units.Coordinate, Field(ge=0)] | None = None
         """m, of all edges, 0 for sharp ones; default 0.02, 0.05 or 0.1"""
         axis_height: units.Length | None = None
         """m, of the axis of rotation above the outlet; default: that of the bin's centre of

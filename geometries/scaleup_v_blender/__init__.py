@@ -53,8 +53,9 @@ class VBlender:
             math.radians(80)
         )
         """rad, between the arms"""
-        outlet: units.Length | None = None
-        """m, length of the opening at the point of the V; default 0.05, 0.1 or 0.2"""
+        outlet: Annotated[units.Coordinate, Field(ge=0)] | None = None
+        """m, length of the opening at the point of the V, 0 for a sharp point; default 0.05, 0.1 or
+        0.2"""
         axis_height: units.Length | None = None
         """m, of the axis of rotation above the outlet; default: that of the vessel's centre of
         volume, so that the empty vessel is balanced"""
@@ -88,7 +89,7 @@ class VBlender:
         self.radius = 0.5 * (options.arm_diameter or size.arm_diameter)
         self.length = options.arm_length or size.arm_length
         self.cosine, self.sine = math.cos(options.angle / 2), math.sin(options.angle / 2)
-        outlet = options.outlet or size.outlet
+        outlet = size.outlet if options.outlet is None else options.outlet
         if self.length * self.sine <= self.radius * self.cosine:
             raise InputError(
                 f"geometry.arm_length = {self.length:g} m: must be above "

@@ -8,8 +8,9 @@ from typing import Any
 import ngsolve as ngs
 import numpy as np
 from netgen.meshing import MeshingParameters
-from netgen.occ import OCCGeometry
 from numpy.typing import NDArray
+
+from scaleup_mohr_coulomb.meshing import meshed, occ_geometry
 
 _GRADING = 0.25
 _BISECTIONS = 40
@@ -57,10 +58,10 @@ def cross_section_mesh(
     origin, e.g. ``Circle(Pnt(0, 0), R).Face()``.  Elements are ``fine_size`` from
     ``band_depth`` below to ``band_height`` above the plane at ``band_angle`` (rad) that holds
     ``bed_area`` (m^2), and grow to ``coarse_size`` away from it.  Curved walls are followed to
-    second order.
+    second order. Raises InputError if there is no such mesh.
     """
-    geometry = OCCGeometry(face, dim=2)
-    coarse = ngs.Mesh(geometry.GenerateMesh(maxh=coarse_size)).Curve(2)
+    geometry = occ_geometry(lambda: face, dim=2)
+    coarse = ngs.Mesh(meshed(geometry, coarse_size, maxh=coarse_size)).Curve(2)
     offset = surface_offset(coarse, bed_area, band_angle)
     parameters = MeshingParameters(maxh=coarse_size, grading=_GRADING)
     reach = farthest_wall(coarse)
@@ -70,7 +71,7 @@ def cross_section_mesh(
     tangent = np.array([normal[1], -normal[0]])
     for x, y in (along[:, None, None] * tangent + across[None, :, None] * normal).reshape(-1, 2):
         parameters.RestrictH(x=float(x), y=float(y), z=0.0, h=fine_size)
-    return ngs.Mesh(geometry.GenerateMesh(mp=parameters)).Curve(2)
+    return ngs.Mesh(meshed(geometry, fine_size, mp=parameters)).Curve(2)
 
 
 def wall_distance(mesh: Any, origin: NDArray[Any], direction: NDArray[Any]) -> float:

@@ -7,9 +7,11 @@ from typing import Any
 
 import netgen.meshing
 import ngsolve as ngs
-from netgen.occ import Box, OCCGeometry, Pnt
+from netgen.occ import Box, Pnt
 
 from scaleup.api import on_each, on_root
+
+from .meshing import meshed, occ_geometry
 
 WALL, _MIRROR = "wall", "mirror"
 _GRADING = 0.5
@@ -21,15 +23,16 @@ def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any, mirrored: bool
 
     Of a ``mirrored`` vessel only the half at z > 0 is meshed, bounded by its WALL and a plane.  On
     several ranks the first makes the mesh and, up to NGSolve 6.2.2608, keeps none of its elements.
+    Raises InputError, on every rank, if there is no such mesh.
     """
     ngs.SetNumThreads(1)
 
     def shape() -> Any:
-        return OCCGeometry(_upper_half(solid()) if mirrored else solid())
+        return _upper_half(solid()) if mirrored else solid()
 
-    geometry = on_each(comm, shape)
+    geometry = on_each(comm, lambda: occ_geometry(shape))
     made: list[Any] = []
-    on_root(comm, lambda: made.append(geometry.GenerateMesh(maxh=size, grading=_GRADING)))
+    on_root(comm, lambda: made.append(meshed(geometry, size, maxh=size, grading=_GRADING)))
     if comm.size == 1:
         part = made[0]
     elif comm.rank == 0:
