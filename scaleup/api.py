@@ -268,6 +268,12 @@ class Mixing(Protocol):
     halo: ClassVar[int]
     """layers of ghost cells that the backend reads"""
 
+    # These two may be left out; the values after "else" are then taken. A run is held to them.
+    overshoot: float
+    """how far beyond [0, 1] concentrations may go while the scheme is stable; else 1e-9"""
+    conservative: bool
+    """whether the content of each component stays what it was, to round-off; else True"""
+
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells, all ranks."""
         ...

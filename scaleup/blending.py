@@ -21,6 +21,7 @@ from scaleup.flow_field import FlowField, Interval
 from scaleup.grid import FloatArray
 from scaleup.loading import initial_concentration
 from scaleup.metrics import Sampler, centre_line
+from scaleup.mixing_check import CheckedMixing
 from scaleup.progress import Reporter
 from scaleup.results import FRAMES, PHASES, Results, instants
 
@@ -89,7 +90,7 @@ def mix(
         index, local = state["interval"], state["time"]
         blend = Blend(**{**state["blend"], "ledger": Ledger(**state["blend"]["ledger"])})
         log.info("resumed at revolution %.3f", points[first])
-    backend = config.plugin("mixing")
+    backend = CheckedMixing(config.plugin("mixing"), config.mixing["name"])
     split = Decomposition(flow.grid, flow.ever_active(), comm, halo=backend.halo)
     tensor = partial(_tensor, flow=flow, config=config)
     grain = config.material.grain_diameter
@@ -97,7 +98,7 @@ def mix(
     def begin(revolution: float) -> None:
         law = tensor if revolution >= round(config.diffusion.after, 9) else _no_diffusion
         scene = MixingScene(flow, config.diffusion, grain, split, law, force)
-        backend.start(scene, concentration, index)
+        backend.start(scene, concentration, index, local)
 
     begin(points[first])
     began = last_kept = time.monotonic() - blend.seconds
@@ -111,7 +112,7 @@ def mix(
                     blend.ledger.add(backend.advance(index, start, local))
             interval = flow.intervals[index]
             local = min(max(local, interval.start), interval.end)  # a steady part has no end
-            concentration = backend.concentration(interval)
+            concentration = backend.concentration(interval, local)
             if revolution in curve and not (resumed and number == first):
                 _measure(blend, config, flow, interval, local, revolution, concentration)
                 blend.elapsed.append(time.monotonic() - began)

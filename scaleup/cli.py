@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 import json
 import logging
-import os
 import sys
 import textwrap
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,20 +18,25 @@ import click
 
 import scaleup
 from scaleup import registry
+from scaleup.blame import told
 from scaleup.config import PLUGIN_SECTIONS, RunConfig, compose, plugin_options
-from scaleup.errors import InputError, ScaleupError, file_error
-from scaleup.launch import check_ranks, launched_size, relaunch_if_needed
+from scaleup.errors import InputError, ScaleupError
+from scaleup.launch import check_ranks, is_root, launched_size, relaunch_if_needed
 from scaleup.registry import Kind
 
 log = logging.getLogger("scaleup")
 
 _SHOWN_REVOLUTIONS = (0, 1, 2, 3, 5, 10, 20, 50, 100)
+_shows_tracebacks = False  # --debug
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(scaleup.__version__, prog_name="scaleup")
-def cli() -> None:
+@click.option("--debug", is_flag=True, help="Show where an error arose (a traceback).")
+def cli(debug: bool) -> None:
     """Predict how powders blend in rotating blenders."""
+    global _shows_tracebacks
+    _shows_tracebacks = debug
 
 
 def scene_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -102,7 +107,7 @@ def simulate(
     folder = (
         output or Path("runs") / f"{run_config.geometry['name']}-{time.strftime('%Y%m%d-%H%M%S')}"
     )
-    if launched_size() is None:
+    if launched_size() == 1:
         from scaleup.output_folder import check_output
         from scaleup.storage import Store
 
@@ -140,7 +145,7 @@ def resume(folder: Path, ranks: int | None, force: bool) -> None:
     from scaleup.output_folder import check_output, work_folder
 
     check_ranks(ranks)
-    if launched_size() is None:
+    if launched_size() == 1:
         check_output(folder, overwrite=False, resume=True)
     config = compose(work_folder(folder) / "config.toml")
     relaunch_if_needed(ranks)
@@ -304,7 +309,7 @@ def doctor(ranks: int) -> None:
     from scaleup.doctor import examine, greet
 
     check_ranks(ranks)
-    if launched_size() is not None:
+    if launched_size() > 1:
         greet()
         return
     healthy = True
@@ -319,21 +324,20 @@ def doctor(ranks: int) -> None:
 
 
 def main() -> None:
-    """Entry point: errors that a user can act on are one sentence, without a traceback."""
+    """Entry point: an error is one sentence, without a traceback, on one of the ranks."""
     try:
         cli(standalone_mode=False)
-    except ScaleupError as error:
-        _complain(str(error))
-        sys.exit(error.exit_code)
-    except OSError as error:
-        _complain(str(file_error(error)))
-        _end_all_ranks()
     except click.exceptions.Abort:
         _complain("interrupted")
         sys.exit(130)
     except click.ClickException as error:
         _complain(" ".join(error.format_message().split()))
         sys.exit(2)
+    except (Exception, SystemExit) as error:
+        if _shows_tracebacks:
+            traceback.print_exception(error)
+        failure = told(error)
+        _fail(str(failure), failure.exit_code)
 
 
 def _run(config: Any, folder: Path, *, overwrite: bool, resume: bool, force: bool) -> None:
@@ -385,8 +389,8 @@ def _kinds_of(name: str) -> list[Kind]:
     """What kinds of plugins are registered under a name. Raises InputError if there are none."""
     found = [kind for kind in PLUGIN_SECTIONS if name in registry.available(kind)]
     if not found:
-        known = ", ".join(n for kind in PLUGIN_SECTIONS for n in registry.available(kind))
-        raise InputError(f"NAME = {name!r}: no such plugin; installed are: {known}")
+        known = [n for kind in PLUGIN_SECTIONS for n in registry.available(kind)]
+        raise InputError(registry.unknown("NAME", name, "plugin", known))
     return found
 
 
@@ -402,22 +406,16 @@ def _indented(text: str | None) -> str:
 
 
 def _complain(sentence: str) -> None:
-    size = launched_size()
-    if size is None or size == 1 or _is_root():
+    if is_root():
         click.echo(f"Error: {sentence}", err=True)
 
 
-def _end_all_ranks() -> None:
-    """Leave with exit code 1; the other ranks must not wait for this one."""
-    if (launched_size() or 1) > 1:
-        from mpi4py import MPI
-
-        MPI.COMM_WORLD.Abort(1)
-    sys.exit(1)
-
-
-def _is_root() -> bool:
-    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
-        if name in os.environ:
-            return os.environ[name] == "0"
-    return True
+def _fail(sentence: str, code: int) -> None:
+    """Say once what all ranks failed at; a rank that fails alone says it, and ends the others."""
+    parallel = sys.modules.get("scaleup.parallel")  # else MPI was not started
+    if parallel is not None and not parallel.all_end():
+        click.echo(f"Error: {sentence}", err=True)
+        sys.stderr.flush()
+        parallel.end_all(code)
+    _complain(sentence)
+    sys.exit(code)

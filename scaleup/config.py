@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from scaleup import registry, units
+from scaleup.blame import blamed_on
 from scaleup.errors import InputError, did_you_mean, shortened, shown
 from scaleup.feasibility import require_feasible
 from scaleup.files import read_text
@@ -110,7 +111,9 @@ class RunConfig(Model):
 
     def plugin(self, kind: Kind) -> Any:
         """The chosen plugin, constructed with its options."""
-        return registry.load(kind, getattr(self, kind)["name"])(self.options(kind))
+        name = getattr(self, kind)["name"]
+        with blamed_on(kind, name):
+            return registry.load(kind, name)(self.options(kind))
 
     def to_toml(self) -> str:
         """The whole configuration; read again it gives this same run."""
@@ -156,7 +159,9 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ru
         user = _merged(user, layer)
     name = _section(user, "geometry").get("name", "drum")
     geometry = registry.load("geometry", _text("geometry.name", name))
-    base = _merged({"geometry": {"name": name}}, _spelt_out(_default_scene(geometry, user)))
+    with blamed_on("geometry", name):
+        scene = _default_scene(geometry, user)
+    base = _merged({"geometry": {"name": name}}, _spelt_out(scene))
     for layer in layers:
         base = _merged(base, layer)
     for kind in PLUGIN_SECTIONS:
@@ -169,10 +174,13 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ru
         section = dict(base[kind])
         plugin = registry.load(kind, section.pop("name"))
         _validated(plugin.Options, section, f"{kind}.")
-    require_feasible(config, bed_at_rest(config))
+    with blamed_on("geometry", config.geometry["name"]):
+        require_feasible(config, bed_at_rest(config))
     if flow_must_accept:
-        config.plugin("flow").check(config.plugin("geometry"), config.operation.speed)
-        flow_cautions(config)
+        flow, geometry = config.plugin("flow"), config.plugin("geometry")
+        with blamed_on("flow", config.flow["name"]):
+            flow.check(geometry, config.operation.speed)
+            flow_cautions(config)
     return config
 
 

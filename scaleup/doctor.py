@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 
 from scaleup.config import PLUGIN_SECTIONS
 from scaleup.errors import PluginError
+from scaleup.launch import launch_environment
 from scaleup.registry import available, load
 
 _IMPORTS = {
@@ -31,8 +33,9 @@ def examine() -> Iterator[tuple[str, bool]]:
     for name, remedy in _IMPORTS.items():
         code = _VERSIONS.get(name, f"import {name}; print({name}.__version__)")
         done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=False
-        )
+            [sys.executable, "-P", "-c", code],
+            capture_output=True, text=True, check=False, env=launch_environment(os.environ),
+        )  # fmt: skip
         if done.returncode == 0:
             yield f"{name}: {done.stdout.strip()}", True
         else:

@@ -37,6 +37,10 @@ class RunError(ScaleupError):
     """A computation could not be finished: says what, where and what to change."""
 
 
+class UnforeseenError(ScaleupError):
+    """An error that no rule foresaw: names the plugin that it came from, else scaleup itself."""
+
+
 def shortened(text: str, length: int) -> str:
     """The text, or its beginning and end with " ... " between them, of `length` characters."""
     if len(text) <= length:

@@ -48,6 +48,8 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
 
     overshoot: float
     """how far beyond [0, 1] the scheme may go while it is stable"""
+    conservative = True
+    """whether the content of each component stays what it was, to round-off"""
 
     def __init__(
         self, scene: MixingScene, options: StepOptions, concentration: FloatArray, index: int
@@ -184,6 +186,16 @@ class ExplicitBackend(ABC):
         if self._transport is None:
             raise RuntimeError("start() comes first")
         return self._transport
+
+    @property
+    def overshoot(self) -> float:
+        """How far beyond [0, 1] the scheme may go while it is stable."""
+        return self.running.overshoot
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the content of each component stays what it was."""
+        return self.running.conservative
 
     def stable_time_step(self, interval: Interval) -> float:
         """Largest step within the scheme's limit, s (collective)."""

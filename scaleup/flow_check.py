@@ -47,11 +47,15 @@ def check_shared_flow(flow: FlowField | None, geometry: Any, fill_volume: float,
     def check_own() -> tuple[_FlowChecker | None, _End | None]:
         if flow is None:
             return None, None
+        if not isinstance(flow, FlowField):
+            raise ContractError(f"solve returned {type(flow).__name__}, and must a FlowField")
         own = _FlowChecker(flow, geometry, fill_volume)
         return own, own.check_all()
 
     checker, end = on_each(comm, check_own)
     held = comm.allgather((0, 0, 0) if checker is None else checker.held)
+    if not any(total for *_, total in held):
+        raise ContractError("solve returned no FlowField on any rank, or one without intervals")
     stop = 0
     for first, count, _ in held:
         if count and first != stop:

@@ -11,6 +11,7 @@ from typing import Any
 
 from scaleup import registry, storage
 from scaleup.api import Scene
+from scaleup.blame import blamed_on
 from scaleup.config import RunConfig, fill_volume, flow_cautions, grid_spacing
 from scaleup.flow_check import check_shared_flow
 from scaleup.flow_field import FlowField
@@ -63,12 +64,13 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
         grid=grid,
         inputs=wanted.inputs,
     )
-    with Reporter("flow", visible=comm.rank == 0) as progress:
-        memory = store.memory_of(*_plugins(config))
-        flow = config.plugin("flow").solve(scene, comm, progress, memory)
-    if flow is not None:
-        flow = replace(flow, warnings=(*flow_cautions(config), *flow.warnings))
-    check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
+    memory, model = store.memory_of(*_plugins(config)), config.plugin("flow")
+    with blamed_on("flow", config.flow["name"]):
+        with Reporter("flow", visible=comm.rank == 0) as progress:
+            flow = model.solve(scene, comm, progress, memory)
+        if isinstance(flow, FlowField):
+            flow = replace(flow, warnings=(*flow_cautions(config), *flow.warnings))
+        check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
     storage.write_flow(path, flow, comm)
     del flow
     seconds = time.monotonic() - began

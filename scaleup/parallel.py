@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from scaleup.errors import ScaleupError, file_error
+from scaleup.blame import told
+from scaleup.errors import ScaleupError
+from scaleup.launch import check_world
 
 T = TypeVar("T")
 
 _POLL_SECONDS = 0.02
+_PATIENCE = 5.0  # s that a rank which ends waits for the others to end too
+_end: Any = None  # a communicator for that alone: others may be at any point of the world's
 
 
 def start() -> Any:
     """Start MPI and PETSc and return the world communicator (mpi4py).
 
     From here on an exception that nobody catches on one rank ends all of them; without that the
-    others would wait for it for ever.
+    others would wait for it for ever. Raises InputError if the launcher started more ranks than MPI
+    connects.
     """
+    global _end
+    # Open MPI's waiting ranks spin; on a busy machine they then take the cores of those that work.
+    os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")
     from mpi4py import MPI
 
     comm = MPI.COMM_WORLD
+    check_world(comm.size)
     if comm.size > 1:
+        _end = comm.Dup()
         previous = sys.excepthook
 
         def abort(kind: Any, error: Any, traceback: Any) -> None:
@@ -34,8 +45,27 @@ def start() -> Any:
         sys.excepthook = abort
     import petsc4py
 
-    petsc4py.init(sys.argv[:1])
+    # what a .petscrc of the working folder or the home says is not in the run's configuration
+    petsc4py.init([*sys.argv[:1], "-skip_petscrc"])
     return comm
+
+
+def all_end() -> bool:
+    """Whether all ranks come here, within some seconds: to end, or for the same error."""
+    if _end is None:
+        return True
+    request, patience = _end.Ibarrier(), time.monotonic() + _PATIENCE
+    while not request.Test():
+        if time.monotonic() > patience:
+            return False
+        time.sleep(_POLL_SECONDS)
+    return True
+
+
+def end_all(code: int) -> None:
+    """End every rank, wherever it is, with an exit code."""
+    if _end is not None:
+        _end.Abort(code)
 
 
 def on_root(comm: Any, work: Callable[[], T]) -> T:
@@ -80,7 +110,5 @@ def on_each(comm: Any, work: Callable[[], T]) -> T:
 def _tried(work: Callable[[], T]) -> tuple[T | None, ScaleupError | None]:
     try:
         return work(), None
-    except ScaleupError as error:
-        return None, error
-    except OSError as error:
-        return None, file_error(error)
+    except (Exception, SystemExit) as error:  # a plugin's work may raise anything
+        return None, told(error)

@@ -12,6 +12,7 @@ import numpy as np
 
 from scaleup import registry
 from scaleup.api import MixingScene
+from scaleup.blame import told
 from scaleup.blending import mix
 from scaleup.config import RunConfig, compose, fill_volume
 from scaleup.decomposition import Decomposition
@@ -53,8 +54,8 @@ def _check_geometry(name: str, assignments: Sequence[str], comm: Any) -> Iterato
     try:
         config = compose(None, assignments, flags, flow_must_accept=False)
         geometry = config.plugin("geometry")
-    except Exception as error:
-        yield Finding("FAIL", "it is made with its default scene", _sentence(error))
+    except (Exception, SystemExit) as error:
+        yield Finding("FAIL", "it is made with its default scene", str(told(error)))
         return
     yield Finding("ok", "it is made with its default scene")
     flow, failed = config.flow["name"], False
@@ -170,11 +171,6 @@ def _tried(title: str, check: Callable[[], object]) -> Finding:
         check()
     except InputError as refusal:
         return Finding("skip", title, str(refusal))
-    except Exception as error:  # a plugin may raise anything
-        return Finding("FAIL", title, _sentence(error))
+    except (Exception, SystemExit) as error:  # a plugin may raise anything
+        return Finding("FAIL", title, str(told(error)))
     return Finding("ok", title)
-
-
-def _sentence(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if isinstance(error, ScaleupError) else f"{type(error).__name__}: {text}"

@@ -13,7 +13,9 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
-from scaleup.errors import PluginError
+from pydantic import BaseModel
+
+from scaleup.errors import PluginError, did_you_mean, shown
 
 Kind = Literal["geometry", "flow", "mixing"]
 GROUPS: dict[Kind, str] = {
@@ -55,21 +57,33 @@ def load(kind: Kind, name: str) -> Any:
     """
     known = available(kind)
     if name not in known:
-        names = ", ".join(known) or "none"
-        raise PluginError(f"{kind}.name = {name!r}: no such {kind}; installed are: {names}")
+        raise PluginError(unknown(f"{kind}.name", name, kind, list(known)))
     point = known[name]
     try:
         plugin = point.load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise PluginError(
-            f"the {kind} {name!r} of the distribution {distribution(point)} cannot be imported "
-            f"({type(error).__name__}: {error})"
+            f"{described(kind, name)} cannot be imported ({type(error).__name__}: {error})"
         ) from error
-    if not hasattr(plugin, "Options"):
+    options = getattr(plugin, "Options", None)
+    if options is None:
+        raise PluginError(f"{described(kind, name)} has no Options class")
+    if not (isinstance(options, type) and issubclass(options, BaseModel)):
         raise PluginError(
-            f"the {kind} {name!r} of the distribution {distribution(point)} has no Options class"
+            f"the Options of {described(kind, name)} do not derive from PluginOptions"
         )
     return plugin
+
+
+def unknown(key: str, name: str, what: str, known: list[str]) -> str:
+    """The sentence on a name that is not registered: the nearest one, and all there are."""
+    meant, installed = did_you_mean(name, known), ", ".join(known) or "none"
+    return f"{key} = {shown(name)}: no such {what}{meant}; installed are: {installed}"
+
+
+def described(kind: Kind, name: str) -> str:
+    """A plugin with the distribution that it comes from, for errors."""
+    return f"the {kind} {name!r} of the distribution {distribution(available(kind)[name])}"
 
 
 def warn_of_broken(kind: Kind) -> None:
@@ -77,8 +91,7 @@ def warn_of_broken(kind: Kind) -> None:
     for name, point in available(kind).items():
         if importlib.util.find_spec(point.module.partition(".")[0]) is None:
             warnings.warn(
-                f"the {kind} {name!r} of the distribution {distribution(point)} is broken: "
-                f"there is no module {point.module!r}",
+                f"{described(kind, name)} is broken: there is no module {point.module!r}",
                 stacklevel=2,
             )
 

@@ -12,6 +12,7 @@ from scaleup.cut_cells import cut_fraction
 from scaleup.errors import ContractError, InputError
 from scaleup.flow_check import check_flow as check_flow
 from scaleup.grid import FloatArray, Grid, grid_over
+from scaleup.mixing_check import CheckedMixing
 from scaleup.vessel_shape import axis_meets, symmetry
 
 _ROUND_OFF = 1e-12
@@ -186,20 +187,22 @@ class _SampledGeometry:
 def check_mixing(backend: Any, scene: Any, concentration: Any, duration: float) -> None:
     """Check a mixing backend on a scene, from concentrations (components, n): collective.
 
-    1 the stable step is positive, infinite if none is too long; 2 after `duration` (s) components
-    sum to 1; 3 a uniform concentration stays uniform to 1e-12.
+    1 what it returns is as `CheckedMixing` asks in a run: shape, bounds, content; 2 the stable step
+    is positive, infinite if none is too long; 3 after `duration` (s) components sum to 1; 4 a
+    uniform concentration stays uniform to 1e-12.
     """
     flow = scene.flow
+    checked = CheckedMixing(backend)
     for start in (concentration, np.full_like(concentration, 1.0 / len(concentration))):
-        backend.start(scene, start)
-        step = backend.stable_time_step(flow.intervals[0])
-        if not step > 0:
-            raise ContractError(f"stable_time_step = {step}: must be positive")
         interval = flow.intervals[0]
+        end = interval.start
+        checked.start(scene, start, 0, end)
+        checked.stable_time_step(interval)
+        checked.concentration(interval, end)
         for index, begin, end in flow.schedule(0.0, duration):
-            backend.advance(index, begin, end)
+            checked.advance(index, begin, end)
             interval = flow.intervals[index]
-        result = backend.concentration(interval)
+        result = checked.concentration(interval, min(max(end, interval.start), interval.end))
         error = float(np.abs(result.sum(axis=0) - 1.0).max())
         if error > _ROUND_OFF:
             raise ContractError(f"the components sum to 1 +- {error:.2g}")

@@ -9,13 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from scaleup.launch import launch_environment
+
 REPOSITORY = Path(__file__).resolve().parents[1]
-MPI_ENVIRONMENT = {
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_hwloc_base_binding_policy": "none",
-}
 
 
 @pytest.fixture(scope="session")
@@ -58,7 +54,7 @@ def on_ranks(tmp_path):
             text=True,
             timeout=300,
             cwd=REPOSITORY / "tests",
-            env={**os.environ, **MPI_ENVIRONMENT, "PYTHONPATH": os.pathsep.join(path)},
+            env=launch_environment({**os.environ, "PYTHONPATH": os.pathsep.join(path)}),
             check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr

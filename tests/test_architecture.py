@@ -10,20 +10,20 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # Each module of scaleup may import those on lower floors only.
 FLOORS = [
     {"errors", "files", "ledger", "__init__"},
-    {"grid", "units", "launch"},
+    {"grid", "units", "launch", "registry"},
+    {"blame"},
     {"spread", "cut_kernel", "merged_cells", "flux_kernels", "symmetric_solve"},
     {"cut_cells", "closed_surface"},
     {"flow_field", "scene", "parallel", "decomposition", "progress", "loading_file"},
     {
         "stream_function",
-        "registry",
         "output_folder",
         "vessel_shape",
         "sample_flows",
         "conservative_bed",
         "compact_intervals",
     },
-    {"flux_correction", "step_guard", "flow_check"},
+    {"flux_correction", "step_guard", "flow_check", "mixing_check"},
     {"explicit_transport", "bed_support"},
     {"api", "loading", "diffusion_tensor", "metrics", "feasibility"},
     {"ray_kernel"},

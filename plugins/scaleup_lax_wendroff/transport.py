@@ -88,6 +88,8 @@ class StencilTransport(ExplicitTransport[Bed]):
 class PaperTransport(StencilTransport):
     """Form "paper": clipped, its boundary copied; judged by what came before the clipping."""
 
+    conservative = False
+
     def __init__(
         self,
         scene: MixingScene,
