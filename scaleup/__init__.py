@@ -1,8 +1,18 @@
 """Continuum prediction of powder blending in rotating blenders."""
 
-from importlib.metadata import PackageNotFoundError, version
+__version__: str
 
-try:
-    __version__ = version("scaleup")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0.0.0"
+
+def __getattr__(name: str) -> str:
+    """The version, when it is asked for: `python -m scaleup` must import nothing before `__main__`.
+
+    What it imports before that, it may find in the working folder.
+    """
+    if name != "__version__":
+        raise AttributeError(f"module 'scaleup' has no attribute {name!r}")
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("scaleup")
+    except PackageNotFoundError:  # a source tree that was never installed
+        return "0.0.0"

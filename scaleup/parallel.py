@@ -15,7 +15,7 @@ from scaleup.launch import check_world
 T = TypeVar("T")
 
 _POLL_SECONDS = 0.02
-_PATIENCE = 5.0  # s that a rank which ends waits for the others to end too
+_PATIENCE = 3.0  # s that a rank which ends waits for the others to end too
 _end: Any = None  # a communicator for that alone: others may be at any point of the world's
 
 

@@ -69,9 +69,7 @@ def load(kind: Kind, name: str) -> Any:
     if options is None:
         raise PluginError(f"{described(kind, name)} has no Options class")
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
-        raise PluginError(
-            f"the Options of {described(kind, name)} do not derive from PluginOptions"
-        )
+        raise PluginError(f"{described(kind, name)} has Options that are no PluginOptions")
     return plugin
 
 
