@@ -17,13 +17,17 @@ from scaleup.api import Ledger, MixingScene
 from scaleup.config import RunConfig
 from scaleup.decomposition import Decomposition
 from scaleup.diffusion_tensor import diffusion_tensor
+from scaleup.errors import InputError
 from scaleup.flow_field import FlowField, Interval
 from scaleup.grid import FloatArray
 from scaleup.loading import initial_concentration
 from scaleup.metrics import Sampler, centre_line
 from scaleup.mixing_check import CheckedMixing
+from scaleup.parallel import on_each, on_root
 from scaleup.progress import Reporter
-from scaleup.results import FRAMES, PHASES, Results, instants
+from scaleup.results import FRAMES, PHASES, Results, instants, require_instants
+from scaleup.resumption import identity, read_state
+from scaleup.stopping import StoppedError, Stopping
 
 log = logging.getLogger("scaleup")
 
@@ -37,6 +41,7 @@ class Blend:
     volumes  -- of each component, m^3
     sample_volume -- m^3 of powder in a sample, on the average
     elapsed  -- s of wall-clock time, those before a resumption included
+    remarks  -- sentences on how the run went that its reader should know
     profiles -- by revolution: depth below the surface over bed depth, and concentration
     """
 
@@ -51,6 +56,7 @@ class Blend:
     ledger: Ledger = field(default_factory=Ledger)
     seconds: float = 0.0
     sample_volume: float = 0.0
+    remarks: list[str] = field(default_factory=list)
 
     @property
     def mass_drift(self) -> float:
@@ -67,29 +73,39 @@ def mix(
     results: Results | None = None,
     checkpoint: Path | None = None,
     force: bool = False,
+    changed_code: bool = False,
+    stopping: Stopping | None = None,
 ) -> Blend:
     """Blend on a flow and measure it along the way; collective.
 
-    force      -- go on with steps beyond the limit of stability
-    results    -- where snapshots go, or None
-    checkpoint -- where the state is kept; if the file exists the run goes on from it
+    force        -- go on with steps beyond the limit of stability
+    results      -- where snapshots go, or None
+    checkpoint   -- where the state is kept; if the file exists the run goes on from it
+    changed_code -- go on from it even if it was computed with other code
+    stopping     -- whether the run is asked to end. Raises StoppedError when it is, with a
+                    checkpoint kept
     """
     root = comm.rank == 0
     period = config.operation.period
     # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
     waited = flow.lift / (2 * math.pi) if config.operation.start == "level-bed" else 0.0
-    curve = _curve_points(config)
-    pictures = _picture_points(config, flow) if results is not None else set()
-    points = sorted(curve | pictures)
-    blend, first, index, local = Blend(), 0, 0, 0.0
-    concentration = initial_concentration(config.operation.loading, flow)
-    resumed = checkpoint is not None and checkpoint.exists()
+    plan = Plan.of(config, flow, with_pictures=results is not None)
+    points = plan.points
+    blend, first, index, local, clock = Blend(), 0, 0, 0.0, 0.0
+    resumed = checkpoint is not None and on_root(comm, checkpoint.exists)
     if checkpoint is not None and resumed:
-        arrays, state = storage.read_checkpoint(checkpoint)
-        concentration, first = arrays["concentration"], state["point"]
-        index, local = state["interval"], state["time"]
+        concentration, state = on_each(
+            comm, partial(_resumed_state, checkpoint, config, flow, changed_code)
+        )
+        first = points.index(state["revolution"])
+        index, local, clock = state["interval"], state["time"], state["clock"]
         blend = Blend(**{**state["blend"], "ledger": Ledger(**state["blend"]["ledger"])})
+        blend.profiles = {
+            key: profile for key, profile in blend.profiles.items() if float(key) in plan.snapshots
+        }
         log.info("resumed at revolution %.3f", points[first])
+    else:
+        concentration = initial_concentration(config.operation.loading, flow)
     backend = CheckedMixing(config.plugin("mixing"), config.mixing["name"])
     split = Decomposition(flow.grid, flow.ever_active(), comm, halo=backend.halo)
     tensor = partial(_tensor, flow=flow, config=config)
@@ -100,28 +116,59 @@ def mix(
         scene = MixingScene(flow, config.diffusion, grain, split, law, force)
         backend.start(scene, concentration, index, local)
 
+    def keep(revolution: float) -> None:
+        if checkpoint is not None and root:
+            state = {
+                "run": identity(config),
+                "revolution": revolution,
+                "interval": index,
+                "time": local,
+                "clock": clock,
+                "blend": asdict(blend),
+                "instants": plan.instants(revolution) if results is not None else {},
+            }
+            storage.write_checkpoint(checkpoint, {"concentration": concentration}, state)
+
+    def end_if_asked(revolution: float) -> None:
+        nonlocal concentration
+        asked = stopping.asked(comm) if stopping is not None else 0
+        if not asked:
+            return
+        kept = "no checkpoint was asked for"
+        if checkpoint is not None:
+            concentration = backend.concentration(flow.intervals[index], local)
+            keep(revolution)
+            kept = "the run can go on from its checkpoint (scaleup resume)"
+        raise StoppedError(asked, f"ended after revolution {revolution:g}; {kept}")
+
     begin(points[first])
     began = last_kept = time.monotonic() - blend.seconds
+    last_kept += blend.seconds
+    if results is not None and root and not resumed:
+        results.create()
     with Reporter("mixing", visible=root and results is not None) as progress:
         for number in range(first, len(points)):
             revolution = points[number]
+            if number == first and resumed:
+                continue
             now = max(0.0, (revolution - waited) * period)
-            if number > first:
-                before = max(0.0, (points[number - 1] - waited) * period)
-                for index, start, local in flow.schedule(before, now):
-                    blend.ledger.add(backend.advance(index, start, local))
+            for index, start, local in flow.schedule(clock, now):
+                blend.ledger.add(backend.advance(index, start, local))
+                clock += local - start
+                blend.seconds = time.monotonic() - began
+                if clock < now:
+                    end_if_asked(points[number - 1])
+            clock = now
             interval = flow.intervals[index]
             local = min(max(local, interval.start), interval.end)  # a steady part has no end
             concentration = backend.concentration(interval, local)
-            if revolution in curve and not (resumed and number == first):
+            if revolution in plan.curve:
                 _measure(blend, config, flow, interval, local, revolution, concentration)
                 blend.elapsed.append(time.monotonic() - began)
             if results is not None and root:
-                if number == 0:
-                    results.create()
-                if revolution in pictures:
+                if revolution in plan.pictures:
                     results.add_picture(revolution, interval, local, concentration)
-                if _is_snapshot(config, revolution, number, len(points)):
+                if revolution in plan.snapshots:
                     results.add(revolution, interval, local, concentration)
                     _profile(blend, flow, interval, revolution, concentration)
             progress(
@@ -132,14 +179,33 @@ def mix(
                 begin(revolution)
             blend.seconds = time.monotonic() - began
             due = time.monotonic() - last_kept >= config.output.checkpoint_every
-            if checkpoint is not None and root and (due or number == len(points) - 1):
-                last_kept = time.monotonic()
-                storage.write_checkpoint(
-                    checkpoint,
-                    {"concentration": concentration},
-                    {"point": number, "interval": index, "time": local, "blend": asdict(blend)},
-                )
+            if revolution <= plan.final:
+                if due or revolution == plan.final:
+                    last_kept = time.monotonic()
+                    keep(revolution)
+                end_if_asked(revolution)
+    if results is not None:
+        on_root(comm, partial(results.finish, plan.instants(points[-1])))
     return blend
+
+
+def check_resumable(config: RunConfig, checkpoint: Path, *, changed_code: bool) -> None:
+    """Raise InputError if a run cannot go on from its checkpoint, before anything is computed."""
+    if not checkpoint.exists():
+        return
+    _, state = read_state(checkpoint, config, changed_code=changed_code)
+    require_instants(checkpoint.parent, state["instants"])
+
+
+def _resumed_state(
+    checkpoint: Path, config: RunConfig, flow: FlowField, changed_code: bool
+) -> tuple[FloatArray, dict[str, Any]]:
+    concentration, state = read_state(checkpoint, config, changed_code=changed_code)
+    index = state["interval"]
+    cells = len(flow.intervals[index].cells) if 0 <= index < len(flow.intervals) else -1
+    if concentration.shape[1:] != (cells,) or not np.isfinite(concentration).all():
+        raise InputError(f"{checkpoint}: does not fit the flow; simulate the run again")
+    return concentration, state
 
 
 def _tensor(interval: Interval, flow: FlowField, config: RunConfig) -> FloatArray:
@@ -183,33 +249,60 @@ def _profile(
     blend.profiles[f"{revolution:.4f}"] = [depth.tolist(), values.tolist()]
 
 
-def _curve_points(config: RunConfig) -> set[float]:
-    """Revolutions at which the blend is measured: multiples of the asked steps, and the last.
+@dataclass(frozen=True)
+class Plan:
+    """The revolutions at which a run pauses, those where steps end among them, ascending.
 
-    Also where diffusion sets in.
+    points    -- all of them, from 0 to the last
+    curve     -- where the blend is measured
+    snapshots, pictures -- where fields are stored
+    final     -- the last one at which a longer run would pause, too: from there it can be extended
+                 with the very steps of a run of that length
     """
-    last, every = config.operation.revolutions, config.output.metrics_every
-    points = {round(n * every, 9) for n in range(math.floor(last / every + 1e-9) + 1)}
-    snapshots = config.output.snapshots_every
-    points |= {round(n * snapshots, 9) for n in range(math.floor(last / snapshots + 1e-9) + 1)}
-    sets_in = round(config.diffusion.after, 9)
-    return points | {last} | ({sets_in} if sets_in < last else set())
+
+    points: tuple[float, ...]
+    curve: frozenset[float]
+    snapshots: frozenset[float]
+    pictures: frozenset[float]
+    final: float
+
+    @staticmethod
+    def of(config: RunConfig, flow: FlowField, *, with_pictures: bool) -> Plan:
+        """The plan of a run.
+
+        The blend is measured at multiples of the asked steps, where diffusion sets in, and at the
+        end. Pictures are of the first and the last revolution, but steps end at their phases all
+        along, so that what is computed does not depend on which revolution is the last one.
+        """
+        last, output = round(config.operation.revolutions, 9), config.output
+        snapshots = _multiples(output.snapshots_every, last)
+        sets_in = round(config.diffusion.after, 9)
+        curve = snapshots | _multiples(output.metrics_every, last)
+        curve |= {sets_in} if sets_in <= last else set()
+        pictures: set[float] = set()
+        regular = set(curve)
+        for which in ("first", "last") if with_pictures else ():
+            animated = output.animate in (which, "both")
+            if animated or flow.frame == "vessel":  # a bed that stands still in the lab needs none
+                count = FRAMES if animated else PHASES
+                pictures |= set(instants(which, last, count))
+                regular |= {round(n / count, 9) for n in range(math.floor(last * count + 1e-9) + 1)}
+        return Plan(
+            points=tuple(sorted(regular | {last})),
+            curve=frozenset(curve | {last}),
+            snapshots=frozenset(snapshots | {last}),
+            pictures=frozenset(pictures),
+            final=max(regular),
+        )
+
+    def instants(self, until: float) -> dict[str, list[float]]:
+        """Revolutions, by kind, whose fields are stored until one."""
+        kinds = {"snapshots": self.snapshots, "pictures": self.pictures}
+        return {
+            kind: sorted(at for at in revolutions if at <= until)
+            for kind, revolutions in kinds.items()
+        }
 
 
-def _picture_points(config: RunConfig, flow: FlowField) -> set[float]:
-    """Revolutions at which pictures are taken: of the first and the last one, in equal steps.
-
-    A bed that stands still in the lab needs none but for an animation.
-    """
-    last, asked = config.operation.revolutions, config.output.animate
-    points: set[float] = set()
-    for name in ("first", "last"):
-        animated = asked in (name, "both")
-        if animated or flow.frame == "vessel":
-            points |= set(instants(name, last, FRAMES if animated else PHASES))
-    return points
-
-
-def _is_snapshot(config: RunConfig, revolution: float, number: int, count: int) -> bool:
-    turns = revolution / config.output.snapshots_every
-    return number in (0, count - 1) or abs(turns - round(turns)) < 1e-6
+def _multiples(every: float, last: float) -> set[float]:
+    return {round(n * every, 9) for n in range(math.floor(last / every + 1e-9) + 1)}

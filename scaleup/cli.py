@@ -104,7 +104,9 @@ def simulate(
     """
     check_ranks(ranks)
     run_config = _scene(**scene)
-    folder = (
+    from scaleup.output_folder import real_folder
+
+    folder = real_folder(
         output or Path("runs") / f"{run_config.geometry['name']}-{time.strftime('%Y%m%d-%H%M%S')}"
     )
     if launched_size() == 1:
@@ -116,7 +118,7 @@ def simulate(
         if output is None:  # all ranks must agree on the folder's name
             sys.argv += ["--output", str(folder)]
     relaunch_if_needed(ranks)
-    _run(run_config, folder, overwrite=overwrite, resume=False, force=force)
+    _run(run_config, folder, overwrite=overwrite, force=force)
 
 
 @cli.command()
@@ -139,17 +141,29 @@ def plan(ranks: int | None, measure: bool, **scene: Any) -> None:
 @cli.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--ranks", type=int, help="Number of MPI ranks.")
+@click.option("--revolutions", help="How many revolutions to blend in all, more than before.")
 @click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
-def resume(folder: Path, ranks: int | None, force: bool) -> None:
-    """Go on with a run that was killed; FOLDER is what --output was."""
-    from scaleup.output_folder import check_output, work_folder
+@click.option("--changed-code", is_flag=True, help="Go on although the code has changed.")
+def resume(
+    folder: Path, ranks: int | None, revolutions: str | None, force: bool, changed_code: bool
+) -> None:
+    """Go on with a run that was ended, or is finished; FOLDER is what --output was.
+
+    A finished run goes on to more --revolutions and is replaced when those are complete.
+    """
+    from scaleup.output_folder import begun_configuration, check_output, real_folder
 
     check_ranks(ranks)
+    folder = real_folder(folder)
     if launched_size() == 1:
-        check_output(folder, overwrite=False, resume=True)
-    config = compose(work_folder(folder) / "config.toml")
+        extend = revolutions is not None
+        check_output(folder, overwrite=False, resume=True, extend=extend)
+    flags: dict[str, Any] = {}
+    if revolutions is not None:
+        flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
+    config = compose(begun_configuration(folder), flags=flags)
     relaunch_if_needed(ranks)
-    _run(config, folder, overwrite=True, resume=True, force=force)
+    _run(config, folder, resume=True, force=force, changed_code=changed_code)
 
 
 @cli.command()
@@ -340,15 +354,15 @@ def main() -> None:
         _fail(str(failure), failure.exit_code)
 
 
-def _run(config: Any, folder: Path, *, overwrite: bool, resume: bool, force: bool) -> None:
+def _run(config: Any, folder: Path, **how: bool) -> None:
     from scaleup import parallel
 
     comm = parallel.start()
     from scaleup.pipeline import run
 
     _log_to_terminal(comm.rank == 0)
-    run(config, folder, comm, overwrite=overwrite, resume=resume, force=force)
-    if comm.rank == 0:
+    run(config, folder, comm, **how)
+    if comm.rank == 0 and (folder / "report.json").exists():
         _print_summary(folder)
 
 

@@ -18,6 +18,7 @@ import resource
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,16 +75,28 @@ def record(cost: Cost, store: Store) -> None:
 
 
 def known(store: Store) -> list[Cost]:
-    """All runs on record; lines that cannot be read are passed over."""
-    if not _file(store).exists():
+    """All runs on record; lines that no run can have written are passed over."""
+    try:
+        lines = _file(store).read_text(encoding="utf-8", errors="replace").splitlines()
+    except FileNotFoundError:
         return []
     found = []
-    for line in _file(store).read_text(encoding="utf-8").splitlines():
+    for line in lines:
         try:
-            found.append(Cost(**json.loads(line)))
+            found.append(_cost(json.loads(line)))
         except (ValueError, TypeError):
             continue
     return found
+
+
+def _cost(values: Any) -> Cost:
+    """Raises ValueError, TypeError for what cannot be the cost of a run."""
+    cost = Cost(**values)
+    positive = (cost.cells, cost.ranks, cost.revolutions, cost.mixing_s, cost.memory)
+    solved = cost.flow_s is None or (math.isfinite(cost.flow_s) and cost.flow_s > 0)
+    if not (solved and all(math.isfinite(value) and value > 0 for value in positive)):
+        raise ValueError("a run has cells, takes time and needs memory")
+    return cost
 
 
 def estimate(

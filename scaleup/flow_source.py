@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from scaleup import registry, storage
 from scaleup.api import Scene
 from scaleup.blame import blamed_on
+from scaleup.compact_intervals import CompactInterval, CompactIntervals
 from scaleup.config import RunConfig, fill_volume, flow_cautions, grid_spacing
+from scaleup.errors import ContractError
 from scaleup.flow_check import check_shared_flow
 from scaleup.flow_field import FlowField
 from scaleup.grid import Grid, grid_over
+from scaleup.hdf5 import DamagedFileError
 from scaleup.parallel import on_each, on_root
 from scaleup.progress import Reporter
 from scaleup.storage import Store
@@ -48,14 +55,12 @@ def stored_flow(config: RunConfig) -> Path:
 
 
 def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
-    """The FlowField of a run, from the store or solved and stored; collective."""
+    """The FlowField of a run, from the store or solved and stored; collective.
+
+    A stored flow is checked as a new one is; one that fails is set aside and solved again.
+    """
     store, wanted, grid = Store(), _wanted(config), make_grid(config)
     path = wanted.path
-
-    if on_root(comm, path.exists):
-        log.info("flow: reused from the store (%s)", path.name)
-        return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), 0.0, True, wanted.key)
-    began = time.monotonic()
     scene = Scene(
         geometry=config.plugin("geometry"),
         material=config.material,
@@ -64,18 +69,62 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
         grid=grid,
         inputs=wanted.inputs,
     )
+    if on_root(comm, partial(os.path.lexists, path)):
+        try:
+            flow = _reused(path, scene, comm)
+            log.info("flow: reused from the store (%s)", path.name)
+            return FlowOutcome(flow, 0.0, True, wanted.key)
+        except (DamagedFileError, ContractError) as error:
+            on_root(comm, partial(store.set_aside, path, f"{path.name} cannot be used: {error}"))
+            log.info("flow: solving it again")
+    began = time.monotonic()
     memory, model = store.memory_of(*_plugins(config)), config.plugin("flow")
     with blamed_on("flow", config.flow["name"]):
         with Reporter("flow", visible=comm.rank == 0) as progress:
-            flow = model.solve(scene, comm, progress, memory)
-        if isinstance(flow, FlowField):
-            flow = replace(flow, warnings=(*flow_cautions(config), *flow.warnings))
-        check_shared_flow(flow, scene.geometry, scene.fill_volume, comm)
-    storage.write_flow(path, flow, comm)
-    del flow
+            solved = model.solve(scene, comm, progress, memory)
+        if isinstance(solved, FlowField):
+            solved = replace(solved, warnings=(*flow_cautions(config), *solved.warnings))
+        check_shared_flow(solved, scene.geometry, scene.fill_volume, comm)
+    storage.write_flow(path, solved, comm)
+    del solved
+    flow = on_each(comm, partial(storage.read_flow, path))
     seconds = time.monotonic() - began
     log.info("flow: solved in %.1f s and stored (%s)", seconds, path.name)
-    return FlowOutcome(on_each(comm, partial(storage.read_flow, path)), seconds, False, wanted.key)
+    return FlowOutcome(flow, seconds, False, wanted.key)
+
+
+def _reused(path: Path, scene: Scene, comm: Any) -> FlowField:
+    """A stored flow; every rank checks its share of the intervals.
+
+    Raises DamagedFileError or ContractError, on all ranks.
+    """
+
+    def open_own() -> FlowField:
+        flow = storage.read_flow(path)
+        if flow.grid != scene.grid:
+            raise DamagedFileError(f"{path}: is of another grid")
+        return flow
+
+    flow = on_each(comm, open_own)
+    whole, bounds = flow.intervals, np.linspace(0, len(flow.intervals), comm.size + 1).astype(int)
+    assert isinstance(whole, CompactIntervals)  # as stored flows are
+    own = range(bounds[comm.rank], bounds[comm.rank + 1])
+    share = CompactIntervals(_Share(whole.parts, own), whole.times, whole.capacity, own.start)
+    check_shared_flow(replace(flow, intervals=share), scene.geometry, scene.fill_volume, comm)
+    return flow
+
+
+class _Share(Sequence[CompactInterval]):
+    """Consecutive ones of many intervals, read when asked for."""
+
+    def __init__(self, parts: Sequence[CompactInterval], numbers: range):
+        self._parts, self._numbers = parts, numbers
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._parts[self._numbers[index]]
 
 
 def _wanted(config: RunConfig) -> _Wanted:

@@ -3,73 +3,145 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scaleup.blending import Blend, mix
+from scaleup.blending import Blend, check_resumable, mix
 from scaleup.config import RunConfig, fill_in_all_kinds
 from scaleup.errors import ScaleupError
 from scaleup.flow_field import FlowField
-from scaleup.flow_source import obtain_flow
-from scaleup.output_folder import open_folder, publish
-from scaleup.parallel import on_root
+from scaleup.flow_source import FlowOutcome, obtain_flow
+from scaleup.output_folder import check_output, open_folder, publish
+from scaleup.parallel import all_end, on_root
 from scaleup.planner import record_run
-from scaleup.report import compile_report, write_report
+from scaleup.report import compile_report, write_json, write_report
 from scaleup.results import Results
+from scaleup.run_lock import RunLock
+from scaleup.stopping import StoppedError, Stopping
 
 log = logging.getLogger("scaleup")
 
 
 def run(
-    config: RunConfig, folder: Path, comm: Any, *, overwrite: bool, resume: bool, force: bool
+    config: RunConfig,
+    folder: Path,
+    comm: Any,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    force: bool = False,
+    changed_code: bool = False,
 ) -> Path:
     """Run a configuration; collective. Returns the run folder.
 
     The folder appears when the run is complete; until then its content is in `FOLDER.partial`,
-    from which `resume` goes on.
+    from which `resume` goes on, on a finished run too. Meanwhile the folder is locked. A signal
+    ends the run with a StoppedError or at once (`scaleup.stopping`).
     """
-    work = on_root(
-        comm,
-        partial(open_folder, folder, config.to_toml(), overwrite=overwrite, resume=resume),
-    )
-    handler = _log_to(work / "run.log") if comm.rank == 0 else None
+    lock, stopping = RunLock(folder), Stopping()
+    on_root(comm, lock.take)
     try:
-        log.info("scaleup on %d rank(s); %s", comm.size, _describe(config))
-        outcome = obtain_flow(config, comm)
-        results = Results.of(work, outcome.flow)
-        kept = work / "checkpoint.h5"
-        blend = mix(config, outcome.flow, comm, results=results, checkpoint=kept, force=force)
-        coarse = _coarse_blend(config, outcome.flow, comm, force)
-        if comm.rank == 0:
-            results.write_xdmf()
-            record_run(config, outcome, blend, comm.size)
-            report = compile_report(config, outcome, blend, coarse, comm.size)
-            write_report(work, report, results, config.plugin("geometry"))
+        with stopping.heeded(lock.release):
+            on_root(
+                comm, partial(check_output, folder, overwrite=overwrite, resume=resume, extend=True)
+            )
+            work = on_root(comm, partial(open_folder, folder, config.to_toml(), resume=resume))
+            with _logged_to(work / "run.log", comm):
+                _run_in(work, config, comm, stopping, force, changed_code)
+            on_root(comm, partial(publish, work, folder))
     finally:
-        if handler is not None:
-            log.removeHandler(handler)
-            handler.close()
-    on_root(comm, partial(publish, work, folder))
+        if comm.rank == 0:
+            lock.release()
     return folder
 
 
-def _coarse_blend(config: RunConfig, flow: FlowField, comm: Any, force: bool) -> Blend | str:
+def _run_in(
+    work: Path, config: RunConfig, comm: Any, stopping: Stopping, force: bool, changed_code: bool
+) -> None:
+    """Everything that is in a run folder but its lock; collective."""
+    log.info("scaleup on %d rank(s); %s", comm.size, _describe(config))
+    kept, estimated = work / "checkpoint.h5", work / "estimate.h5"
+    on_root(comm, partial(check_resumable, config, kept, changed_code=changed_code))
+    outcome = obtain_flow(config, comm)
+    results = Results.of(work, outcome.flow)
+    blending = partial(mix, config, comm=comm, force=force, changed_code=changed_code,
+                       stopping=stopping)  # fmt: skip
+    stopping.at_once = False
+    blend = blending(outcome.flow, results=results, checkpoint=kept)
+    coarse = _coarse_blend(config, outcome.flow, partial(blending, checkpoint=estimated))
+    stopping.at_once = True
+    if comm.rank == 0:
+        _report(work, config, outcome, blend, coarse, comm.size, results)
+
+
+def _coarse_blend(
+    config: RunConfig, flow: FlowField, blending: Callable[..., Blend]
+) -> Blend | str:
     """The blend on cells twice as large, or why there is none; a finished run is never lost."""
     if not config.accuracy.estimate:
         return "accuracy.estimate is off"
     log.info("mixing again on cells twice as large, for the error estimate")
     try:
-        return mix(config, flow.coarsened(2), comm, force=force)
+        return blending(flow.coarsened(2))
+    except StoppedError:
+        raise
     except ScaleupError as error:
+        if not all_end():  # this rank alone failed: the others are somewhere else
+            raise
         return f"on cells twice as large: {error}"
 
 
-def _log_to(path: Path) -> logging.Handler:
+def _report(
+    work: Path,
+    config: RunConfig,
+    outcome: FlowOutcome,
+    blend: Blend,
+    coarse: Blend | str,
+    ranks: int,
+    results: Results,
+) -> None:
+    """Say what came of a run, in its folder and in the store. Whatever fails here is a warning."""
+    with _finished_all_the_same("costs.jsonl, for estimates of later runs", blend):
+        record_run(config, outcome, blend, ranks)
+    with _finished_all_the_same("results.xdmf", blend):
+        results.write_xdmf()
+    with _finished_all_the_same("the report", blend):
+        report = compile_report(config, outcome, blend, coarse, ranks)
+        write_json(work, report)
+        with _finished_all_the_same("the figures", blend):
+            write_report(work, report, results, config.plugin("geometry"))
+            return
+        write_json(work, compile_report(config, outcome, blend, coarse, ranks))
+
+
+@contextmanager
+def _finished_all_the_same(what: str, blend: Blend) -> Iterator[None]:
+    """What comes after the computation may fail without taking the result along."""
+    try:
+        yield
+    except Exception as error:
+        sentence = f"{what} could not be written: {' '.join(str(error).split()) or repr(error)}"
+        log.warning("the run is complete, but %s", sentence, exc_info=log.level <= logging.DEBUG)
+        blend.remarks.append(sentence)
+
+
+@contextmanager
+def _logged_to(path: Path, comm: Any) -> Iterator[None]:
+    """What is logged within the block goes to a file as well, on the root."""
+    if comm.rank != 0:
+        yield
+        return
     handler = logging.FileHandler(path)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     log.addHandler(handler)
-    return handler
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        handler.close()
 
 
 def _describe(config: RunConfig) -> str:

@@ -56,14 +56,18 @@ _LIBRARIES = ("numpy", "mpi4py", "petsc4py", "ngsolve", "h5py", "numba", "pydant
 
 
 def write_report(folder: Path, report: dict[str, Any], results: Results, geometry: Any) -> None:
-    """Write figures/, report.html and, last, report.json; called on the root.
+    """Write figures/ and report.html; called on the root.
 
     report -- of `compile_report`, or as read again from report.json; all else is drawn from results
     """
     report = _finite(report)
     pictures = _draw(folder / "figures", report, results, geometry)
     write_text(folder / "report.html", _html(report, pictures))
-    write_text(folder / "report.json", json.dumps(report, indent=2) + "\n")
+
+
+def write_json(folder: Path, report: dict[str, Any]) -> None:
+    """Write report.json; called on the root."""
+    write_text(folder / "report.json", json.dumps(_finite(report), indent=2) + "\n")
 
 
 def redraw(folder: Path) -> None:
@@ -263,6 +267,7 @@ def _warnings(
     found = [
         *getattr(config.plugin("geometry"), "warnings", ()),
         *outcome.flow.warnings,
+        *blend.remarks,
         *cautions(config, outcome.flow.grid, samples),
     ]
     ledger, grid = blend.ledger, outcome.flow.grid

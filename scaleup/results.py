@@ -1,15 +1,18 @@
 """`results.h5`: fields over time, pictures of single revolutions, and `results.xdmf` for ParaView.
 
-The file is written by the root and grows by an instant at a time inside the work folder; it is
-published with it when the run is complete. Fields are in single precision (the checkpoint keeps
-the state in double), dense over the grid and compressed, so that they are a uniform grid to every
-reader; the part without bed costs next to nothing. Datasets carry their SI unit.
+While a run goes on, every instant is a file of its own in `fields/` of the work folder, so that a
+run may be killed at any time; at the end the root joins them into `results.h5`. Fields are in
+single precision (the checkpoint keeps the state in double), dense over the grid and compressed, so
+that they are a uniform grid to every reader; the part without bed costs next to nothing. Datasets
+carry their SI unit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+import shutil
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,13 +21,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from scaleup import hdf5
 from scaleup.bed_view import Picture
-from scaleup.errors import InputError
+from scaleup.errors import InputError, RunError
 from scaleup.files import replacing, write_text
 from scaleup.flow_field import Axis, FlowField, Interval
 from scaleup.grid import FloatArray, Grid, IntArray
-from scaleup.storage import FORMAT_VERSION, read_grid, write_grid
+from scaleup.hdf5 import FORMAT_VERSION, DamagedFileError
+from scaleup.storage import read_grid, write_grid
 
+KINDS = ("snapshots", "pictures")
 PHASES, FRAMES = 8, 32  # pictures of a revolution: to be seen side by side, and one by one
 _PICTURE_CELLS = 2e6  # of the grid of pictures, at most: more is not seen
 _FIELD = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
@@ -55,11 +61,12 @@ class Results:
 
     def __init__(self, folder: Path, grid: Grid, motion: Motion):
         self._path, self._xdmf = folder / "results.h5", folder / "results.xdmf"
+        self._parts = folder / "fields"
         self.grid, self.motion = grid, motion
         shares = (grid.cells / _PICTURE_CELLS) ** (1 / grid.dimension)
         self._factor = max(1, math.ceil(shares - 1e-9))
         self._coarse = grid.coarsened(self._factor)
-        self._with_velocity: dict[tuple[float, float], str] = {}  # snapshots by their interval
+        self._with_velocity: dict[tuple[float, float], float] = {}  # snapshot, by its interval
 
     @classmethod
     def of(cls, folder: Path, flow: FlowField) -> Results:
@@ -72,25 +79,20 @@ class Results:
         path = folder / "results.h5"
         if not path.exists():
             raise InputError(f"{folder}: is not a run folder ({path.name} is missing)")
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("format_version") != FORMAT_VERSION or "frame" not in file.attrs:
-                raise InputError(f"{path}: is of another version of scaleup; simulate it again")
-            point, direction = file.attrs["axis_point"], file.attrs["axis_direction"]
-            axis = Axis((*map(float, point),), (*map(float, direction),))  # type: ignore[arg-type]
-            omega = float(file.attrs["angular_velocity"])
-            return cls(folder, read_grid(file), Motion(file.attrs["frame"], axis, omega))
+        try:
+            with hdf5.reading(path) as file:
+                at, along = file.attrs["axis_point"], file.attrs["axis_direction"]
+                axis = Axis((*map(float, at),), (*map(float, along),))  # type: ignore[arg-type]
+                omega = float(file.attrs["angular_velocity"])
+                return cls(folder, read_grid(file), Motion(file.attrs["frame"], axis, omega))
+        except DamagedFileError as error:
+            raise InputError(str(error)) from error
 
     def create(self) -> None:
-        """Begin an empty file."""
-        with replacing(self._path) as temporary, h5py.File(temporary, "w") as file:
-            file.attrs["format_version"] = FORMAT_VERSION
-            file.attrs["frame"] = self.motion.frame
-            file.attrs["axis_point"] = self.motion.axis.point
-            file.attrs["axis_direction"] = self.motion.axis.direction
-            file.attrs["angular_velocity"] = self.motion.angular_velocity
-            write_grid(file, self.grid)
-            file.create_group("snapshots")
-            write_grid(file.create_group("pictures"), self._coarse)
+        """Begin without any instant."""
+        shutil.rmtree(self._parts, ignore_errors=True)
+        self._path.unlink(missing_ok=True)
+        self._parts.mkdir()
 
     def add(
         self, revolution: float, interval: Interval, time: float, concentration: FloatArray
@@ -101,17 +103,11 @@ class Results:
         """
         fields = {"fill_fraction": interval.fill(time) / self.grid.cell_volume}
         fields |= {f"concentration_{k + 1}": c for k, c in enumerate(concentration)}
-        key, name = (interval.start, interval.end), _name(revolution)
-        known = self._with_velocity.setdefault(key, name)
-        if known == name:
+        span = (interval.start, interval.end)
+        if self._with_velocity.setdefault(span, revolution) == revolution:
             for axis, component in enumerate(interval.velocity(self.grid)):
                 fields["velocity_" + "xyz"[axis]] = component
-        self._append("snapshots", revolution, self.grid, interval.cells, fields)
-        if known != name:
-            with h5py.File(self._path, "a") as file:
-                stored = file["snapshots"]
-                for field in [f for f in stored[known] if f.startswith("velocity")]:
-                    stored[name][field] = stored[known][field]
+        self._store("snapshots", revolution, self.grid, interval.cells, fields, span)
 
     def add_picture(
         self, revolution: float, interval: Interval, time: float, concentration: FloatArray
@@ -128,11 +124,43 @@ class Results:
             fill, content = (np.bincount(place, weights=w).astype(float) for w in (fill, content))
         share = np.divide(content, fill, out=np.full(len(fill), np.nan), where=fill > 0)
         fields = {"fill_fraction": fill / self._coarse.cell_volume, "concentration_1": share}
-        self._append("pictures", revolution, self._coarse, cells, fields)
+        span = (interval.start, interval.end)
+        self._store("pictures", revolution, self._coarse, cells, fields, span)
+
+    def finish(self, wanted: Mapping[str, Iterable[float]]) -> None:
+        """Join the instants that are wanted (revolutions by kind) into `results.h5`.
+
+        Of the snapshots of a flow that repeats, the first on each interval has the velocities.
+        """
+        stored = _joined(self._path.parent)
+        source = hdf5.opened(self._path) if any(stored.values()) else None
+        with hdf5.written(self._path), replacing(self._path) as temporary:
+            with h5py.File(temporary, "w") as file:
+                file.attrs["format_version"] = FORMAT_VERSION
+                file.attrs["frame"] = self.motion.frame
+                file.attrs["axis_point"] = self.motion.axis.point
+                file.attrs["axis_direction"] = self.motion.axis.direction
+                file.attrs["angular_velocity"] = self.motion.angular_velocity
+                write_grid(file, self.grid)
+                file.create_group("snapshots")
+                write_grid(file.create_group("pictures"), self._coarse)
+                for kind in KINDS:
+                    velocities: dict[bytes, Any] = {}
+                    for name in map(_name, sorted(wanted[kind])):
+                        part = self._part(kind, name)
+                        if part.exists():  # newer than what may be in an older results.h5
+                            with hdf5.reading(part) as instant:
+                                _copy(instant, file[kind].create_group(name), velocities)
+                        elif source is not None:
+                            instant = source[kind][name]
+                            _copy(instant, file[kind].create_group(name), velocities)
+            if source is not None:
+                source.close()
+        shutil.rmtree(self._parts, ignore_errors=True)
 
     def revolutions(self, kind: str = "snapshots") -> list[float]:
         """When snapshots (or "pictures") were taken, ascending."""
-        with h5py.File(self._path, "r") as file:
+        with hdf5.reading(self._path) as file:
             return [
                 float(group.attrs["revolution"])
                 for group in file[kind].values()
@@ -141,13 +169,13 @@ class Results:
 
     def snapshot(self, revolution: float) -> dict[str, NDArray[np.float32]]:
         """All fields at one of the revolutions, by name, `grid.shape`."""
-        with h5py.File(self._path, "r") as file:
+        with hdf5.reading(self._path) as file:
             group = file["snapshots"][_name(revolution)]
             return {name: np.asarray(data) for name, data in group.items()}
 
     def picture(self, revolution: float, kind: str = "pictures") -> Picture:
         """What a picture shows at one of the revolutions of a kind."""
-        with h5py.File(self._path, "r") as file:
+        with hdf5.reading(self._path) as file:
             group = file[kind][_name(revolution)]
             return Picture(
                 self._coarse if kind == "pictures" else self.grid,
@@ -173,7 +201,7 @@ class Results:
         lower, spacing = (" ".join(repr(float(x)) for x in triple) for triple in (origin, edges))
         item = '<DataItem Dimensions="3" NumberType="Float" Precision="8" Format="XML">'
         parts = []
-        with h5py.File(self._path, "r") as file:
+        with hdf5.reading(self._path) as file:
             for name, group in file["snapshots"].items():
                 attributes = "".join(
                     f'<Attribute Name="{field}" AttributeType="Scalar" Center="Cell">'
@@ -197,40 +225,86 @@ class Results:
             + "\n</Grid></Domain></Xdmf>\n",
         )
 
-    def _append(
+    def _store(
         self,
         kind: str,
         revolution: float,
         grid: Grid,
         cells: IntArray,
         fields: Mapping[str, FloatArray],
+        span: tuple[float, float],
     ) -> None:
-        with h5py.File(self._path, "a") as file:
-            parent: Any = file[kind]
-            name = _name(revolution)
-            if name in parent:  # a resumed run repeats what came after its checkpoint
-                del parent[name]
-            group = parent.create_group(name)
-            group.attrs["revolution"] = revolution
+        self._parts.mkdir(exist_ok=True)
+        with hdf5.replaced(self._part(kind, _name(revolution))) as file:
+            file.attrs["revolution"], file.attrs["interval"] = revolution, span
             for field, values in fields.items():
                 empty = 0.0 if field == "fill_fraction" else np.nan
                 whole = np.full(grid.cells, empty, dtype=np.float32)
                 whole[cells] = values
-                data = group.create_dataset(field, data=whole.reshape(grid.shape), **_FIELD)
+                data = file.create_dataset(field, data=whole.reshape(grid.shape), **_FIELD)
                 data.attrs["unit"] = "m/s" if field.startswith("velocity") else "1"
+
+    def _part(self, kind: str, name: str) -> Path:
+        return _part(self._parts.parent, kind, name)
+
+
+def require_instants(folder: Path, wanted: Mapping[str, Iterable[float]]) -> None:
+    """Raise InputError if a run folder lacks an instant or holds it damaged.
+
+    wanted -- revolutions by kind
+    """
+    try:
+        stored = _joined(folder)
+        for kind, revolutions in wanted.items():
+            for name in map(_name, revolutions):
+                part = _part(folder, kind, name)
+                if part.exists() or name not in stored[kind]:
+                    with hdf5.reading(part) as file:
+                        file["fill_fraction"], file["concentration_1"]
+    except RunError as error:
+        raise InputError(
+            f"{error}, so that fields of this run are lost; simulate it again (scaleup simulate "
+            f"{folder / 'config.toml'} --output FOLDER --overwrite)"
+        ) from error
+
+
+def _part(folder: Path, kind: str, name: str) -> Path:
+    return folder / "fields" / f"{kind}-{name}.h5"
+
+
+def _joined(folder: Path) -> dict[str, set[str]]:
+    """Names by kind of the instants in `results.h5`, which a run that is extended has."""
+    path = folder / "results.h5"
+    if not os.path.lexists(path):
+        return {kind: set() for kind in KINDS}
+    with hdf5.reading(path) as file:
+        return {kind: {name for name in file[kind] if name != "grid"} for kind in KINDS}
+
+
+def _copy(instant: Any, group: Any, velocities: dict[bytes, Any]) -> None:
+    """Copy an instant; velocities that are there already, by interval, are linked."""
+    group.attrs["revolution"] = instant.attrs["revolution"]
+    group.attrs["interval"] = span = instant.attrs["interval"]
+    known = velocities.get(span.tobytes())
+    for field in instant:
+        if known is None or not field.startswith("velocity"):
+            instant.copy(instant[field], group, field)
+    if known is None and any(field.startswith("velocity") for field in group):
+        velocities[span.tobytes()] = group
+    elif known is not None:
+        for field in [f for f in known if f.startswith("velocity")]:
+            group[field] = known[field]
 
 
 def instants(which: Literal["first", "last"], last: float, count: int) -> list[float]:
     """Revolutions at which pictures are taken: `count` to a turn, from start to end of one.
 
-    last -- revolutions of the whole run; one of a single turn or less has no last turn.
+    last -- revolutions of the whole run. All are multiples of 1/count, so that a run that is
+    extended has met them: the last turn ends at the last such multiple.
     """
-    if which == "last" and last <= 1.0:
-        return []
-    start = 0.0 if which == "first" else last - 1.0
-    return [
-        round(start + n / count, 9) for n in range(count + 1) if start + n / count <= last + 1e-9
-    ]
+    final = math.floor(last * count + 1e-9)
+    start = 0 if which == "first" else max(0, final - count)
+    return [round(n / count, 9) for n in range(start, min(start + count, final) + 1)]
 
 
 def _name(revolution: float) -> str:

@@ -8,10 +8,10 @@ run that is killed, never meets half a file. Datasets carry their SI unit, files
 from __future__ import annotations
 
 import hashlib
-import importlib.util
-import inspect
 import json
+import logging
 import os
+import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,27 +21,17 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-import scaleup
+from scaleup import hdf5, source_hash
 from scaleup.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
-from scaleup.errors import InputError, RunError
-from scaleup.files import replacing, temporary_name
+from scaleup.errors import InputError
+from scaleup.files import remove_leftovers, temporary_name
 from scaleup.flow_field import Axis, FlowField
 from scaleup.grid import FloatArray, Grid, IntArray
+from scaleup.hdf5 import FORMAT_VERSION, DamagedFileError
 from scaleup.parallel import on_each, on_root
 
-FORMAT_VERSION = 3
-_FLOW_MODULES = (
-    "closed_surface",
-    "compact_intervals",
-    "cut_cells",
-    "cut_kernel",
-    "flow_field",
-    "grid",
-    "scene",
-    "spread",
-    "stream_function",
-    "vessel_shape",
-)
+log = logging.getLogger("scaleup")
+
 _UNITS = {
     "cells": "1",
     "fill_start": "m^3",
@@ -56,28 +46,12 @@ _UNITS = {
 def content_hash(inputs: Mapping[str, Any], *plugins: type) -> str:
     """Hash of JSON-like inputs and of the code that turns them into a flow.
 
-    The code is the source of the plugins' packages and of the modules of scaleup that a flow is
-    made with, so that a corrected blender or a mended cut cell never meets a flow of before.
+    The code is the source of the plugins' packages and of all of scaleup that a flow can depend on,
+    so that a corrected blender or a mended cut cell never meets a flow of before.
     """
-    digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode())
-    digest.update(f"{scaleup.__version__} {FORMAT_VERSION}".encode())
-    core = Path(scaleup.__file__).parent
-    files = [core / f"{name}.py" for name in _FLOW_MODULES]
-    for plugin in plugins:
-        files += _sources(plugin)
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:20]
-
-
-def _sources(plugin: type) -> list[Path]:
-    """Python files of the top-level package, or of the one module, that a plugin comes from."""
-    spec = importlib.util.find_spec(plugin.__module__.partition(".")[0])
-    if spec is not None and spec.submodule_search_locations:
-        return sorted(
-            file for place in spec.submodule_search_locations for file in Path(place).rglob("*.py")
-        )
-    return [Path(inspect.getfile(plugin))]
+    code = source_hash.of_flow_code(*plugins)
+    text = f"{json.dumps(inputs, sort_keys=True)} {code} {FORMAT_VERSION}"
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 class Store:
@@ -85,8 +59,8 @@ class Store:
 
     def __init__(self, folder: Path | None = None):
         """`folder`: default $SCALEUP_CACHE, else ~/.cache/scaleup."""
-        default = os.environ.get("SCALEUP_CACHE") or Path.home() / ".cache" / "scaleup"
-        self.folder = Path(folder or default)
+        default = os.environ.get("SCALEUP_CACHE") or "~/.cache/scaleup"
+        self.folder = Path(folder or default).expanduser()
 
     def path(self, kind: str, key: str) -> Path:
         """Where a result of a kind (`flow`, `part`) is kept."""
@@ -100,6 +74,14 @@ class Store:
             raise InputError(f"SCALEUP_CACHE = {self.folder}: {error.strerror}") from error
         if not os.access(self.folder, os.W_OK):
             raise InputError(f"SCALEUP_CACHE = {self.folder}: nothing can be written there")
+
+    def set_aside(self, path: Path, why: object) -> None:
+        """Rename a result that is damaged, in place of an older such one, and say so."""
+        aside = path.with_name(f"{path.name}.damaged")
+        if aside.is_dir() and not aside.is_symlink():
+            shutil.rmtree(aside)
+        os.replace(path, aside)
+        log.warning("store: %s; it was set aside as %s", why, aside.name)
 
     def memory_of(self, *plugins: type) -> PluginMemory:
         """What `scaleup.api.Memory` promises, for a flow plugin on a geometry plugin."""
@@ -115,17 +97,25 @@ class PluginMemory:
     def recall(self, inputs: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """The arrays kept under these inputs, or None."""
         path = self._path(inputs)
-        if not path.exists():
+        if not os.path.lexists(path):
             return None
-        with h5py.File(path, "r") as file:
-            return {name: np.asarray(data) for name, data in file.items()}
+        try:
+            with hdf5.reading(path) as file:
+                arrays = {name: np.asarray(data) for name, data in file.items()}
+                if file.attrs["digest"] != _digest(arrays):
+                    raise ValueError("its arrays are not those that were kept")
+                return arrays
+        except DamagedFileError as error:
+            self._store.set_aside(path, error)
+            return None
 
     def keep(self, inputs: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep arrays under these inputs, in place of older ones."""
         path = self._path(inputs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as temporary, h5py.File(temporary, "w") as file:
-            file.attrs["format_version"] = FORMAT_VERSION
+        remove_leftovers(path.parent, alone=False)
+        with hdf5.replaced(path) as file:
+            file.attrs["digest"] = _digest(arrays)
             for name, array in arrays.items():
                 file.create_dataset(name, data=array)
 
@@ -135,6 +125,14 @@ class PluginMemory:
 
     def _path(self, inputs: Mapping[str, Any]) -> Path:
         return self._store.path("part", content_hash(inputs, *self._plugins))
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape} ".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def write_flow(path: Path, flow: FlowField | None, comm: Any) -> None:
@@ -152,8 +150,9 @@ def write_flow(path: Path, flow: FlowField | None, comm: Any) -> None:
     header = comm.bcast(_header(flow, parts) if flow is not None and comm.rank == 0 else None)
     temporary: Path = on_root(comm, partial(_temporary, path))
     try:
-        with _shared_file(temporary, comm) as file:
+        with hdf5.written(path), _shared_file(temporary, comm) as file:
             file.attrs.update(header["attributes"])
+            file.attrs["name"] = path.name
             write_grid(file, header["grid"])
             file.create_dataset("times", data=header["times"]).attrs["unit"] = "s"
             file.create_dataset("intervals/first", data=starts[:, 0])
@@ -169,7 +168,7 @@ def write_flow(path: Path, flow: FlowField | None, comm: Any) -> None:
                 capacity.attrs["unit"] = "m^3"
                 if comm.rank == 0:
                     capacity[:] = flow.intervals.capacity  # type: ignore[union-attr]
-            on_each(comm, partial(_write_parts, data, parts, starts[first:]))
+            on_each(comm, partial(_write_parts, path, data, parts, starts[first:]))
         on_root(comm, partial(os.replace, temporary, path))
     finally:
         if comm.rank == 0:
@@ -214,6 +213,7 @@ def _header(flow: FlowField, parts: Sequence[CompactInterval]) -> dict[str, Any]
 
 def _temporary(path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(path.parent, alone=False)
     return temporary_name(path)
 
 
@@ -224,46 +224,77 @@ def _shared_file(path: Path, comm: Any) -> Any:
 
 
 def _write_parts(
-    data: Mapping[str, Any], parts: Sequence[CompactInterval], starts: IntArray
+    path: Path, data: Mapping[str, Any], parts: Sequence[CompactInterval], starts: IntArray
 ) -> None:
     for part, (cell, run), (last_cell, last_run) in zip(parts, starts, starts[1:], strict=False):
         for name, dataset in data.items():
-            if name == "still":
-                dataset[run:last_run] = part.still
-            else:
-                dataset[..., cell:last_cell] = getattr(part, name)
+            with hdf5.written(path):
+                if name == "still":
+                    dataset[run:last_run] = part.still
+                else:
+                    dataset[..., cell:last_cell] = getattr(part, name)
 
 
 def read_flow(path: Path) -> FlowField:
-    """Open a stored FlowField; its intervals are read when asked for."""
-    with h5py.File(path, "r") as file:
-        if file.attrs.get("format_version") != FORMAT_VERSION:
-            raise RunError(f"{path} is of another format version; delete it and solve again")
-        times = np.asarray(file["times"])
-        capacity = np.asarray(file["capacity"]) if "capacity" in file else None
-        grid = read_grid(file)
-        parts: Sequence[CompactInterval] = _StoredParts(path, times, file["intervals"])
+    """Open a stored FlowField; its intervals are read when asked for.
+
+    The file stays open: whatever becomes of its name, this flow remains. Raises DamagedFileError
+    if it is no flow; that it keeps the invariants of one is for `scaleup.flow_check` to see.
+    """
+    file = hdf5.opened(path)
+    with hdf5.understood(path):
+        _require(file.attrs["name"] == path.name, f"it was stored as {file.attrs['name']}")
+        grid, times = read_grid(file), np.asarray(file["times"], dtype=float)
+        parts: Sequence[CompactInterval] = _StoredParts(path, file, grid, times)
         if file.attrs["mirrored"]:
             parts = MirroredParts(parts, grid.counts)
+        capacity = None
+        if "capacity" in file:
+            capacity = np.asarray(file["capacity"], dtype=float)
+            _require(capacity.shape == (grid.cells,), "capacity is not one number for each cell")
+        frame, prefix = file.attrs["frame"], int(file.attrs["prefix"])
+        _require(frame in ("lab", "vessel"), f"frame = {frame!r}")
+        _require(0 <= prefix < len(parts) + 1, f"prefix = {prefix}")
         return FlowField(
             grid=grid,
-            frame=file.attrs["frame"],
+            frame=frame,
             axis=Axis(tuple(file.attrs["axis_point"]), tuple(file.attrs["axis_direction"])),
             angular_velocity=float(file.attrs["angular_velocity"]),
             intervals=CompactIntervals(parts, times, capacity),
             lift=float(file.attrs["lift"]),
-            prefix=int(file.attrs["prefix"]),
+            prefix=prefix,
             summary=json.loads(file.attrs["summary"]),
             warnings=tuple(json.loads(file.attrs["warnings"])),
         )
 
 
-class _StoredParts(Sequence[CompactInterval]):
-    """Compact intervals in a file, read when asked for."""
+def _require(good: bool, otherwise: str) -> None:
+    if not good:
+        raise ValueError(otherwise)
 
-    def __init__(self, path: Path, times: FloatArray, group: Any):
-        self._path, self._times = path, times
-        self._first, self._first_run = np.asarray(group["first"]), np.asarray(group["first_run"])
+
+class _StoredParts(Sequence[CompactInterval]):
+    """Compact intervals in an open file, read when asked for."""
+
+    def __init__(self, path: Path, file: Any, grid: Grid, times: FloatArray):
+        """Raises ValueError, KeyError if the file does not hold intervals on the grid."""
+        self._path, self._file, self._times = path, file, times
+        self._cells = grid.cells // 2 if file.attrs["mirrored"] else grid.cells
+        group = file["intervals"]
+        self._first = np.asarray(group["first"], dtype=np.int64)
+        self._first_run = np.asarray(group["first_run"], dtype=np.int64)
+        cells, runs = group["cells"].shape[0], group["still"].shape[0]
+        for starts, total in ((self._first, cells), (self._first_run, runs)):
+            good = starts.shape == times.shape and starts[0] == 0 and starts[-1] == total
+            _require(good and bool(np.all(np.diff(starts) >= 0)), "intervals do not join")
+        _require(len(times) > 1 and bool(np.all(np.diff(times) > 0)), "times do not ascend")
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_UNITS, (cells,))
+        shapes |= dict.fromkeys(("flux", "direction"), (grid.dimension, cells))
+        for name, shape in (shapes | {"still": (runs, 2)}).items():
+            integer = name in ("cells", "still")
+            _require(group[name].shape == shape, f"intervals/{name} has another shape")
+            good = group[name].dtype.kind in ("iu" if integer else "f")
+            _require(good, f"intervals/{name} is of another type")
 
     def __len__(self) -> int:
         return len(self._times) - 1
@@ -279,30 +310,38 @@ class _StoredParts(Sequence[CompactInterval]):
             raise IndexError(index)
         cells = slice(*self._first[index : index + 2])
         runs = slice(*self._first_run[index : index + 2])
-        with h5py.File(self._path, "r") as file:
-            group = file["intervals"]
+        with hdf5.understood(self._path):
+            group = self._file["intervals"]
             arrays: dict[str, Any] = {
                 name: group[name][runs] if name == "still" else group[name][..., cells]
                 for name in _UNITS
             }
+            active, still = arrays["cells"], arrays["still"]
+            for numbers, most in ((active, self._cells - 1), (still, self._cells)):
+                good = len(numbers) == 0 or (numbers.min() >= 0 and numbers.max() <= most)
+                _require(good, f"interval {index} has cells beyond the grid")
+            good = np.all(still[:, 0] < still[:, 1]) and np.all(still[1:, 0] >= still[:-1, 1])
+            _require(bool(good), f"interval {index} has runs that do not ascend")
         return CompactInterval(float(self._times[index]), float(self._times[index + 1]), **arrays)
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, Any], state: Mapping[str, Any]) -> None:
     """Store arrays and a JSON-like state; replaces the previous checkpoint at once."""
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["format_version"] = FORMAT_VERSION
-        file.attrs["state"] = json.dumps(state)
+    arrays = {name: np.asarray(array) for name, array in arrays.items()}
+    with hdf5.replaced(path) as file:
+        file.attrs["digest"] = _digest(arrays)
+        file.create_dataset("state", data=json.dumps(state))
+        group = file.create_group("arrays")
         for name, array in arrays.items():
-            file.create_dataset(name, data=array)
+            group.create_dataset(name, data=array)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-    """The arrays and the state of a checkpoint."""
-    with h5py.File(path, "r") as file:
-        return {name: np.asarray(data) for name, data in file.items()}, json.loads(
-            file.attrs["state"]
-        )
+    """The arrays and the state of a checkpoint. Raises DamagedFileError."""
+    with hdf5.reading(path) as file:
+        arrays = {name: np.asarray(data) for name, data in file["arrays"].items()}
+        _require(file.attrs["digest"] == _digest(arrays), "its arrays are not those it was given")
+        return arrays, json.loads(file["state"][()])
 
 
 def write_grid(file: Any, grid: Grid) -> None:
