@@ -285,7 +285,7 @@ class Plan:
             animated = output.animate in (which, "both")
             if animated or flow.frame == "vessel":  # a bed that stands still in the lab needs none
                 count = FRAMES if animated else PHASES
-                pictures |= set(instants(which, last, count))
+                pictures |= set(instants(which if last > 1 else "first", last, count))
                 regular |= {round(n / count, 9) for n in range(math.floor(last * count + 1e-9) + 1)}
         return Plan(
             points=tuple(sorted(regular | {last})),

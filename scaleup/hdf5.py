@@ -7,8 +7,10 @@ close. So files that are replaced as a whole are built in memory and written by 
 
 from __future__ import annotations
 
+import atexit
 import io
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -83,7 +85,21 @@ def written(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError) as error:
+        if not _failures:
+            atexit.register(_leave)
+        _failures.append(error)
         raise RunError(f"{path}: {reason(error)}") from error
+
+
+# HDF5 crashes when objects of a file that it failed to write are released. They are alive in the
+# errors' frames; the process ends without releasing them.
+_failures: list[Exception] = []
+
+
+def _leave() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(RunError.exit_code)
 
 
 def reason(error: Exception) -> str:

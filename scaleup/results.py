@@ -300,8 +300,11 @@ def instants(which: Literal["first", "last"], last: float, count: int) -> list[f
     """Revolutions at which pictures are taken: `count` to a turn, from start to end of one.
 
     last -- revolutions of the whole run. All are multiples of 1/count, so that a run that is
-    extended has met them: the last turn ends at the last such multiple.
+    extended has met them: the last turn ends at the last such multiple. One of a single turn or
+    less has no last turn.
     """
+    if which == "last" and last <= 1.0:
+        return []
     final = math.floor(last * count + 1e-9)
     start = 0 if which == "first" else max(0, final - count)
     return [round(n / count, 9) for n in range(start, min(start + count, final) + 1)]

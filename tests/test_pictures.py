@@ -55,6 +55,7 @@ def test_paraviews_reader_finds_the_fields_of_the_hdf5_file(tmp_path, dimension)
         interval = flow.intervals[index]
         c = np.linspace(0, 1, len(interval.cells))
         stored.add(0.25 * index, interval, interval.start, np.stack([c, 1 - c]))
+    stored.finish({"snapshots": [0.0, 0.25 * (len(flow.intervals) - 1)], "pictures": []})
     stored.write_xdmf()
 
     reader = vtkXdmfReader()
@@ -144,7 +145,9 @@ def test_velocities_of_a_repeated_interval_are_stored_once(tmp_path):
         interval = flow.intervals[index]
         c = np.full((2, len(interval.cells)), 0.5)
         stored.add(revolution, interval, interval.end, c)
-        seen = stored.snapshot(revolution)
+    stored.finish({"snapshots": [0.0, 1.0, 1.5], "pictures": []})
+    for revolution, index in ((0.0, 1), (1.0, 1), (1.5, 5)):
+        interval, seen = flow.intervals[index], stored.snapshot(revolution)
         for axis, wanted in enumerate(interval.velocity(flow.grid)):
             field = seen["velocity_" + "xyz"[axis]].ravel()
             np.testing.assert_array_equal(field[interval.cells], wanted.astype("f4"))
@@ -162,6 +165,7 @@ def test_pictures_on_merged_cells_hold_the_same_volume(tmp_path, monkeypatch):
     stored = Results.of(tmp_path, flow)
     stored.create()
     stored.add_picture(0.5, interval, interval.start, np.stack([c, 1 - c]))
+    stored.finish({"snapshots": [], "pictures": [0.5]})
     picture = Results.open(tmp_path).picture(0.5)
     assert picture.grid.cells < flow.grid.cells / 7
     assert picture.phase == pytest.approx(math.pi)

@@ -80,6 +80,7 @@ def test_points_of_a_file_give_the_nearest_cells_their_concentrations(bed, tmp_p
     interval = flow.intervals[0]
     for revolution, c in ((0.0, 0 * wanted), (1.0, wanted)):
         results.add(revolution, interval, 0.0, np.stack([c, 1 - c]))
+    results.finish({"snapshots": [0.0, 1.0], "pictures": []})
     for name in ("c.csv", "c.vtu", "results.h5"):
         c = initial_concentration(Loading(pattern="file", file=tmp_path / name), flow)
         single = name == "results.h5"  # fields are kept in single precision
