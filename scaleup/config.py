@@ -416,6 +416,24 @@ _BOUNDS = {
 }
 
 
+_KINDS = {
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "a list",
+    "path_type": "the name of a file",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_parsing_size": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+}
+
+
 def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
     """The first of pydantic's findings as one sentence: key = value: rule."""
     findings = error.errors()
@@ -431,6 +449,8 @@ def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
         field, limit = _field_at(model, path), first["ctx"][name]
         quantity = None if field is None else _reads(field)
         rule = f"must be {words} {quantity.shown(limit) if quantity and limit else f'{limit:g}'}"
+    elif first["type"] in _KINDS:
+        rule = f"must be {_KINDS[first['type']]}"
     else:
         rule = first["msg"].removeprefix("Value error, ")
         rule = rule[:1].lower() + rule[1:]

@@ -135,7 +135,7 @@ class Drum:
         """Area of the baffles' cross-sections below y = height, m^2."""
         nodes, weights = _STRIPS
         across = 0.5 * self.baffle_thickness * nodes
-        foot = np.sqrt(self.radius**2 - across**2)
+        foot = np.sqrt(np.maximum(self.radius**2 - across**2, 0.0))
         tip = np.full_like(foot, self.radius - self.baffle_height)
         area = 0.0
         for angle in self.baffle_angles:
