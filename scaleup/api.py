@@ -268,6 +268,11 @@ class Mixing(Protocol):
     halo: ClassVar[int]
     """layers of ghost cells that the backend reads"""
 
+    # This one may be left out.
+    def check(self, geometry: Geometry, components: int) -> None:
+        """Raise InputError if the backend cannot blend so many components in this vessel. Cheap."""
+        ...
+
     # These two may be left out; the values after "else" are then taken. A run is held to them.
     overshoot: float
     """how far beyond [0, 1] concentrations may go while the scheme is stable; else 1e-9"""

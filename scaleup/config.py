@@ -22,7 +22,7 @@ from pydantic.fields import FieldInfo
 from scaleup import registry, units
 from scaleup.blame import blamed_on
 from scaleup.errors import InputError, did_you_mean, shortened, shown
-from scaleup.feasibility import require_feasible
+from scaleup.feasibility import component_count, require_feasible
 from scaleup.files import read_text
 from scaleup.registry import Kind
 from scaleup.scene import Diffusion, Material, Model, Operation, SmallShare
@@ -176,12 +176,21 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ru
         _validated(plugin.Options, section, f"{kind}.")
     with blamed_on("geometry", config.geometry["name"]):
         require_feasible(config, bed_at_rest(config))
+    _mixing_accepts(config)
     if flow_must_accept:
         flow, geometry = config.plugin("flow"), config.plugin("geometry")
         with blamed_on("flow", config.flow["name"]):
             flow.check(geometry, config.operation.speed)
             flow_cautions(config)
     return config
+
+
+def _mixing_accepts(config: RunConfig) -> None:
+    """Ask a mixing backend that may refuse. Raises InputError."""
+    check = getattr(config.plugin("mixing"), "check", None)
+    if check is not None:
+        geometry = config.plugin("geometry")
+        check(geometry, component_count(config.operation.loading, geometry.dimension))
 
 
 def _likelier(

@@ -89,6 +89,21 @@ def require_samples(config: RunConfig, bed: Bed) -> None:
         )
 
 
+def require_diffusion(config: RunConfig, bed: Bed) -> None:
+    """A law of diffusion that holds in the vessel, and sets in."""
+    after, turns = config.diffusion.after, config.operation.revolutions
+    if config.diffusion.model == "paper" and bed.geometry.dimension != 2:
+        raise InputError(
+            "diffusion.model = 'paper': Eq. 6 holds for a 2-D flow in the lab frame only; use "
+            "'objective'"
+        )
+    if after > turns:
+        raise InputError(
+            f"diffusion.after = {after:g}: must be at most operation.revolutions = {turns:g}, or "
+            "diffusion never sets in; for none at all set diffusion.k1 = 0"
+        )
+
+
 def require_length(config: RunConfig, bed: Bed) -> None:
     """A number of points and steps that a run can have an end with."""
     turns, output = config.operation.revolutions, config.output
@@ -98,11 +113,6 @@ def require_length(config: RunConfig, bed: Bed) -> None:
         raise InputError(
             f"output.{key} = {getattr(output, key):g}: over {turns:g} revolutions the blend curve "
             f"and the snapshots have {curve + fields:.3g} points, more than {_MOST_POINTS:g}"
-        )
-    if config.diffusion.after > turns:
-        raise InputError(
-            f"diffusion.after = {config.diffusion.after:g}: must be at most operation.revolutions "
-            f"= {turns:g}, or diffusion never sets in; for none at all set diffusion.k1 = 0"
         )
     steps, given = mixing_steps(config, bed)
     if steps > _MOST_STEPS:
@@ -156,6 +166,13 @@ def require_loading(config: RunConfig, bed: Bed) -> None:
         _require_region(loading, np.array(loading.centre), bed)
     if loading.file is not None:
         _require_of_file(loading.file, bed)
+
+
+def component_count(loading: Loading, dimension: int) -> int:
+    """How many components a loading has."""
+    if loading.file is not None:
+        return len(read_loading(loading.file, dimension)[1])
+    return max(loading.layer_components)
 
 
 def _require_region(loading: Loading, centre: FloatArray, bed: Bed) -> None:
@@ -217,5 +234,13 @@ def machine_memory() -> float:
 
 def require_feasible(config: RunConfig, bed: Bed) -> None:
     """All of the above. Raises InputError."""
-    for require in (require_bed, require_grid, require_samples, require_length, require_loading):
+    rules = (
+        require_bed,
+        require_grid,
+        require_samples,
+        require_diffusion,
+        require_length,
+        require_loading,
+    )
+    for require in rules:
         require(config, bed)

@@ -2,14 +2,39 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from scaleup.api import ExplicitBackend, FloatArray, MixingScene, PluginOptions, units
 
 if TYPE_CHECKING:
     from scaleup_implicit_fem.transport import Transport
+
+
+_OPTIONS = ("ksp_", "pc_", "mat_", "sub_", "mg_", "fieldsplit_", "esteig_", "log_", "options_")
+
+
+def petsc_pairs(text: str) -> list[tuple[str, str | None]]:
+    """Names, without their "-", and values of PETSc options. Raises ValueError.
+
+    Which values PETSc knows only PETSc can tell, once the solver is made.
+    """
+    pairs: list[tuple[str, str | None]] = []
+    for word in shlex.split(text):
+        if word.startswith("-") and not word[1:2].isdigit():
+            if not word[1:].startswith(_OPTIONS):
+                raise ValueError(
+                    f"{word[:40]!r} is no option of a linear solver; they begin with -"
+                    f"{', -'.join(_OPTIONS)}"
+                )
+            pairs.append((word[1:], None))
+        elif not pairs or pairs[-1][1] is not None:
+            raise ValueError(f"{word[:40]!r} is no option; write -name value")
+        else:
+            pairs[-1] = (pairs[-1][0], word)
+    return pairs
 
 
 class ImplicitFem(ExplicitBackend):
@@ -26,6 +51,12 @@ class ImplicitFem(ExplicitBackend):
         """residual that the solver leaves, as a share of the right side"""
         petsc_options: str = ""
         """PETSc options of the linear solver, such as "-ksp_type gmres -pc_type hypre" """
+
+        @field_validator("petsc_options")
+        @classmethod
+        def _are_pairs(cls, text: str) -> str:
+            petsc_pairs(text)
+            return text
 
     halo: ClassVar[int] = 1
     order: ClassVar[float] = 2.0

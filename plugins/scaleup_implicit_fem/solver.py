@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import shlex
 
 import numpy as np
 from petsc4py import PETSc
 from scipy.sparse import csr_matrix, diags
 
 from scaleup.api import FloatArray, InputError, RunError
+from scaleup_implicit_fem import petsc_pairs
 from scaleup_implicit_fem.unknowns import Unknowns
 
 PREFIX = "implicit_fem_"
@@ -118,25 +118,13 @@ def distributed(unknowns: Unknowns, rows: csr_matrix) -> PETSc.Mat:
 
 def set_options(text: str) -> list[str]:
     """Put options such as "-ksp_type bcgs" under this plugin's prefix; returns their names."""
-    words, given = shlex.split(text), []
-    options = PETSc.Options(PREFIX)
-    while words:
-        name = words.pop(0)
-        if not name.startswith("-") or len(name) < 2:
-            raise InputError(
-                f"mixing.petsc_options = {text!r}: {name!r} is no option; write -name value"
-            )
-        value = words.pop(0) if words and not _is_option(words[0]) else None
-        options.setValue(name[1:], value)
-        given.append(name[1:])
-    return given
+    options, pairs = PETSc.Options(PREFIX), petsc_pairs(text)
+    for name, value in pairs:
+        options.setValue(name, value)
+    return [name for name, _ in pairs]
 
 
 def _sentence(error: PETSc.Error) -> str:
     """The last of the lines that PETSc has on an error."""
     lines = [line for line in str(error).splitlines() if line.strip()]
     return f"PETSc says: {lines[-1].strip().removeprefix('[0] ')}" if lines else "PETSc refuses it"
-
-
-def _is_option(word: str) -> bool:
-    return word.startswith("-") and not word[1:2].isdigit()

@@ -10,6 +10,8 @@ from scaleup.api import (
     ExplicitBackend,
     ExplicitTransport,
     FloatArray,
+    Geometry,
+    InputError,
     MixingScene,
     PluginOptions,
     units,
@@ -32,6 +34,13 @@ class LaxWendroff(ExplicitBackend):
         """s, in place of a share of the stable step; beyond that only with --force"""
 
     halo: ClassVar[int] = 8  # layers for several steps between two exchanges
+
+    def check(self, geometry: Geometry, components: int) -> None:
+        """The paper's form clips a component and takes the other for its rest."""
+        if self.options.form == "paper" and components != 2:
+            raise InputError(
+                f"mixing.form = 'paper': clips two components, not {components}; use 'corrected'"
+            )
 
     def transport(
         self, scene: MixingScene, concentration: FloatArray, index: int

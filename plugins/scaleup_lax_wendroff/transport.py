@@ -15,7 +15,6 @@ from scaleup.api import (
     ExplicitTransport,
     FloatArray,
     FluxCorrection,
-    InputError,
     Interval,
     Ledger,
     MixingScene,
@@ -89,20 +88,6 @@ class PaperTransport(StencilTransport):
     """Form "paper": clipped, its boundary copied; judged by what came before the clipping."""
 
     conservative = False
-
-    def __init__(
-        self,
-        scene: MixingScene,
-        options: LaxWendroff.Options,
-        concentration: FloatArray,
-        index: int,
-    ):
-        if len(concentration) != 2:
-            raise InputError(
-                f"mixing.form = 'paper': clips two components, not {len(concentration)}; "
-                "use 'corrected'"
-            )
-        super().__init__(scene, options, concentration, index)
 
     def make_bed(self, interval: Interval) -> PaperBed:
         """The bed of this form."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from scaleup.api import (
+    GRAVITY,
     FlowField,
     Geometry,
     InputError,
@@ -20,6 +22,9 @@ from scaleup.api import (
     require_rolling,
     units,
 )
+
+_COARSEST, _FINEST = 3.0, {2: 500.0, 3: 60.0}  # elements in a vessel's reach
+_MOST_STEPS = 2000.0  # in the time of free fall over the reach
 
 
 class MohrCoulomb:
@@ -84,9 +89,15 @@ class MohrCoulomb:
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """A plane scene must look the same at every phase; no powder may centrifuge."""
+        self._check_resolution(geometry)
         if geometry.dimension == 2:
             require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
             return
+        if self.options.coarse_size is not None:
+            raise InputError(
+                f"flow.coarse_size = {units.LENGTH.shown(self.options.coarse_size)}: a vessel in "
+                "space has elements of one size; set flow.fine_size"
+            )
         if self.options.start_up:
             raise InputError(
                 "flow.start_up = true: for 2-D only; a flow in space begins with its start-up"
@@ -98,6 +109,34 @@ class MohrCoulomb:
                 "flow.name = 'mohr-coulomb': the axis of rotation must pass through x = y = 0"
             )
         require_rolling("mohr-coulomb", geometry, speed, froude_below=1.0)
+
+    def _check_resolution(self, geometry: Geometry) -> None:
+        """Sizes and steps with which a solution has an end. Raises InputError."""
+        reach, finest = geometry.reach, _FINEST[geometry.dimension]
+        for key in ("fine_size", "coarse_size", "nonlocal_length", "predictor_length"):
+            size = getattr(self.options, key)
+            least = 0.0 if key == "nonlocal_length" else reach / finest
+            if size is not None and not least <= size <= reach / _COARSEST:
+                raise InputError(
+                    f"flow.{key} = {units.LENGTH.shown(size)}: must be from "
+                    f"{units.LENGTH.shown(least)} to {units.LENGTH.shown(reach / _COARSEST)} in a "
+                    f"vessel that reaches {units.LENGTH.shown(reach)}"
+                )
+        fall, step, limit = (
+            math.sqrt(reach / GRAVITY),
+            self.options.time_step,
+            self.options.time_limit,
+        )
+        if step is not None and not fall / _MOST_STEPS <= step <= fall:
+            raise InputError(
+                f"flow.time_step = {step:g} s: must be from {fall / _MOST_STEPS:.2g} s to the time "
+                f"of free fall over the vessel's reach, {fall:.2g} s"
+            )
+        if limit is not None and limit < fall:
+            raise InputError(
+                f"flow.time_limit = {limit:g} s: must be at least the time of free fall over the "
+                f"vessel's reach, {fall:.2g} s"
+            )
 
     def cautions(
         self, geometry: Geometry, material: Material, speed: float, fill_volume: float

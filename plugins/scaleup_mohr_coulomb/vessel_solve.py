@@ -6,7 +6,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from scaleup.api import GRAVITY, FlowField, InputError, Memory, Progress, Scene, on_each
+from scaleup.api import GRAVITY, FlowField, Memory, Progress, Scene, on_each
 
 from .parameters import Discretisation, Drive, Rheology
 from .revolutions import level_bed, revolve
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from scaleup_mohr_coulomb import MohrCoulomb
 
 _ELEMENTS = 6.0  # across the reach
-_COARSEST = 3.0
 _STEPS = 8.0  # in sqrt(reach/g)
 _START = 0.75  # of the friction angle, up to which the level bed turns rigidly
 
@@ -32,16 +31,6 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
     """
     reach = scene.geometry.reach
     size = options.fine_size or reach / _ELEMENTS
-    if options.coarse_size is not None:
-        raise InputError(
-            f"flow.coarse_size = {options.coarse_size:g} m: a vessel in space has elements of one "
-            "size; set flow.fine_size"
-        )
-    if size > reach / _COARSEST:
-        raise InputError(
-            f"flow.fine_size = {size:g} m: must be at most a third of the vessel's reach, "
-            f"{reach / _COARSEST:.3g} m"
-        )
     numerics = Discretisation.by_rule(
         scene.material,
         Drive(bed_area=scene.fill_volume / (2.0 * reach), angular_velocity=scene.speed),

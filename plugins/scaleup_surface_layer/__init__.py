@@ -9,6 +9,7 @@ from pydantic import Field
 from scaleup.api import (
     FlowField,
     Geometry,
+    InputError,
     Material,
     Memory,
     PluginOptions,
@@ -22,6 +23,7 @@ from scaleup.api import (
 )
 
 _CENTRIFUGES = 0.5  # Froude number from which a bed does not roll
+_COARSEST, _FINEST = 5.0, 500.0  # columns in a vessel's reach
 
 
 class SurfaceLayer:
@@ -63,7 +65,17 @@ class SurfaceLayer:
         """The closed form is that of a rolling bed in a circle; no bed may centrifuge."""
         if self._closed(geometry):
             require_drum("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
+        elif tuple(geometry.axis.direction) != (0.0, 0.0, 1.0):
+            raise InputError("flow.name = 'surface-layer': the axis of rotation must run along z")
         require_rolling("surface-layer", geometry, speed, froude_below=_CENTRIFUGES)
+        columns = self.options.column_spacing
+        least, most = geometry.reach / _FINEST, geometry.reach / _COARSEST
+        if columns is not None and not least <= columns <= most:
+            raise InputError(
+                f"flow.column_spacing = {units.LENGTH.shown(columns)}: must be from "
+                f"{units.LENGTH.shown(least)} to {units.LENGTH.shown(most)} in a vessel that "
+                f"reaches {units.LENGTH.shown(geometry.reach)}"
+            )
 
     def cautions(
         self, geometry: Geometry, material: Material, speed: float, fill_volume: float

@@ -11,7 +11,6 @@ from scaleup.api import (
     CompactInterval,
     CompactIntervals,
     FlowField,
-    InputError,
     MirroredParts,
     Progress,
     Scene,
@@ -48,8 +47,6 @@ def general_flow(
     3 the fluxes of each interval (`layer_closing`), every rank for some consecutive ones.
     """
     geometry, omega = scene.geometry, scene.speed
-    if np.abs(np.array(geometry.axis.direction) - (0.0, 0.0, 1.0)).max() > 1e-12:
-        raise InputError("flow.name = 'surface-layer': the axis of rotation must run along z")
     per_revolution = options.intervals or _intervals(scene)
     frame = on_each(comm, lambda: _frame(scene, options))
     revolution = _bed(scene, options, frame, per_revolution, comm, progress)

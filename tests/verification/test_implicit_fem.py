@@ -239,13 +239,9 @@ def test_a_solve_that_does_not_converge_is_an_error():
         solver.advance(0, 0.0, 0.1)
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [("-ksp_type nonsense", "petsc_options = .*nonsense"), ("ksp_type gmres", "is no option")],
-)
-def test_options_that_petsc_does_not_know_are_refused(options, sentence):
-    solver, _ = started(problems()["gaussian"], 32, petsc_options=options)
-    with pytest.raises(InputError, match=sentence):
+def test_values_that_petsc_does_not_know_are_refused():
+    solver, _ = started(problems()["gaussian"], 32, petsc_options="-ksp_type nonsense")
+    with pytest.raises(InputError, match=r"petsc_options = .*nonsense"):
         solver.advance(0, 0.0, 0.1)
 
 
