@@ -20,7 +20,7 @@ import scaleup
 from scaleup import registry
 from scaleup.blame import told
 from scaleup.config import PLUGIN_SECTIONS, RunConfig, compose, plugin_options
-from scaleup.errors import InputError, ScaleupError
+from scaleup.errors import InputError, ScaleupError, shown
 from scaleup.launch import check_ranks, is_root, launched_size, relaunch_if_needed
 from scaleup.registry import Kind
 
@@ -345,7 +345,7 @@ def main() -> None:
         _complain("interrupted")
         sys.exit(130)
     except click.ClickException as error:
-        _complain(" ".join(error.format_message().split()))
+        _complain(str(InputError(error.format_message())))
         sys.exit(2)
     except (Exception, SystemExit) as error:
         if _shows_tracebacks:
@@ -412,7 +412,7 @@ def _number(key: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{key} = {text!r}: must be a number") from None
+        raise InputError(f"{key} = {shown(text)}: must be a number") from None
 
 
 def _indented(text: str | None) -> str:

@@ -7,6 +7,7 @@ import pytest
 
 from scaleup.config import compose
 from scaleup.errors import InputError
+from scaleup.loading_file import read_loading
 from scaleup.units import to_si
 
 FAST = {"flow": {"name": "surface-layer"}}
@@ -40,6 +41,19 @@ def test_a_file_that_is_no_text_says_how_to_save_it(tmp_path):
     (tmp_path / "run.toml").write_bytes(SCENE.encode("cp1252"))
     with pytest.raises(InputError, match=r"no text in UTF-8 .byte 0xb0 at 32.; save it as UTF-8"):
         compose(tmp_path / "run.toml", [], FAST)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"x,y,a\n0.5,1,0.25\n\n", codecs.BOM_UTF8 + b"x;y;a\r\n0,5;1;0,25\r\n",
+     codecs.BOM_UTF16_LE + "x\ty\ta\n0,5\t1\t0,25\n".encode("utf-16-le")],
+    ids=["commas", "semicolons", "tabs in UTF-16"],
+)  # fmt: skip
+def test_a_table_is_read_as_spreadsheets_save_it(tmp_path, content):
+    (tmp_path / "table.csv").write_bytes(content)
+    points, concentration = read_loading(tmp_path / "table.csv", 2)
+    assert points.tolist() == [[0.5, 1.0]]
+    assert concentration.tolist() == [[0.25], [0.75]]
 
 
 @pytest.mark.parametrize(

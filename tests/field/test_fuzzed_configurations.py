@@ -1,16 +1,19 @@
 """Configurations of all kinds, changed at random: each is a run, or a sentence naming a key."""
 
 import datetime
+import json
+import shutil
 import struct
 from typing import get_args
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from mpi4py import MPI
 
-from scaleup import registry
+from scaleup import pipeline, registry
 from scaleup.config import PLUGIN_SECTIONS, RunConfig, compose
-from scaleup.errors import InputError
+from scaleup.errors import InputError, ScaleupError
 from scaleup.units import quantity_of
 
 GEOMETRIES, FLOWS, MIXINGS = (sorted(registry.available(kind)) for kind in PLUGIN_SECTIONS)
@@ -174,3 +177,40 @@ def test_a_changed_configuration_is_a_run_or_a_sentence(box, scene):
 @given(scene=scenes())
 def test_many_changed_configurations_are_runs_or_sentences(box, scene):
     outcome_is_sound(box, *scene)
+
+
+SMALL = ("flow.name=surface-layer", "grid.cells=600", "operation.revolutions=0.1")
+
+
+def run_ends_well(box, scene):
+    geometry, _, mixing, changes, _ = scene
+    tables = {"geometry": {"name": geometry}, "mixing": {"name": mixing}}
+    if geometry == "mesh":
+        tables["geometry"] |= {"file": str(box), "unit": "m"}
+    kept = [(key, value) for key, value in changes if key[0] not in ("flow", "grid")]
+    try:
+        config = compose(None, SMALL, changed(tables, kept))
+    except InputError:
+        assume(False)
+    folder = box.with_name("run")
+    shutil.rmtree(folder, ignore_errors=True)
+    try:
+        pipeline.run(config, folder, MPI.COMM_SELF, overwrite=True)
+    except ScaleupError as error:
+        said = str(error)
+        assert 0 < len(said) <= 400
+        assert said.splitlines() == [said]
+        return
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    curve = report["mixing"]["segregation_intensity"]
+    assert all(-0.01 <= value <= 1.01 for value in curve)
+    assert all(0 <= value <= 1 for value in report["mixing"]["lacey"])
+    assert report["mixing"]["samples"]["mass"] > 0
+    assert not [name for name in report["warnings"] if "could not" in name]
+
+
+@pytest.mark.slow
+@settings(max_examples=40, **QUIET | {"deadline": None})
+@given(scene=scenes())
+def test_small_runs_of_changed_configurations_end_in_a_result_or_a_sentence(box, store, scene):
+    run_ends_well(box, scene)

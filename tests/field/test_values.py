@@ -8,6 +8,7 @@ from scaleup.errors import InputError
 
 REGION = ("operation.loading.pattern=region", "operation.loading.centre=['0 mm', '{y} mm']",
           "operation.loading.radius={r} mm")  # fmt: skip
+THREE = ("operation.loading.shares=[0.2, 0.3, 0.5]",)
 
 
 def region(y, r):
@@ -43,7 +44,7 @@ def region(y, r):
         (["mixing.name=implicit-fem", "mixing.petsc_options=hello"], "'hello' is no option"),
         (["mixing.name=implicit-fem", "mixing.petsc_options=-pc_type 'gm"], "no closing quotation"),
         (["mixing.name=implicit-fem", "mixing.petsc_options=-snes_type ls"], "of a linear solver"),
-        (["mixing.name=lax-wendroff", "mixing.form=paper", "operation.loading.shares=[0.2,0.3,.5]"],
+        (["mixing.name=lax-wendroff", "mixing.form=paper", *THREE],
          "clips two components, not 3"),
         (["geometry.end_walls=true", "diffusion.model=paper"], "Eq. 6 holds for a 2-D flow"),
     ],
