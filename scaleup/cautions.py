@@ -11,12 +11,12 @@ _CELLS_DEEP, _GRAINS_DEEP, _SAMPLES = 10, 10, 20  # of a bed, wanted
 
 
 def cautions(config: RunConfig, grid: Grid, samples: Samples | None = None) -> list[str]:
-    """Sentences on the grid, the grains and the samples; those on the flow are the flow model's.
+    """Sentences on the vessel, the grid, the grains and the samples; the flow model has its own.
 
     samples -- as measured; None before a run
     """
     bed, samples = bed_at_rest(config), samples or Samples.of(config, grid)
-    found = []
+    found = list(getattr(bed.geometry, "warnings", ()))
     cells, grains = bed.depth / bed.spacing, bed.depth / config.material.grain_diameter
     if cells < _CELLS_DEEP:
         found.append(f"the bed is {cells:.3g} cells deep; {_CELLS_DEEP} or more are wanted")

@@ -265,7 +265,6 @@ def _warnings(
 ) -> list[str]:
     """What a reader should know before using the figures."""
     found = [
-        *getattr(config.plugin("geometry"), "warnings", ()),
         *outcome.flow.warnings,
         *blend.remarks,
         *cautions(config, outcome.flow.grid, samples),

@@ -1,4 +1,4 @@
-"""Runs the program `outside` in a process of its own, with a limit of time and of memory."""
+"""Runs the program `outside`, which limits its time and memory, in a process of its own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from scaleup.api import FloatArray, IntArray
 
 _PROGRAM = Path(__file__).with_name("outside.py")
-_SECONDS = 300.0  # that a reader may take
+_SECONDS = 3600.0  # after which it is taken to wait for ever
 _LAUNCHED = ("OMPI_", "PMI_", "PMIX_", "SLURM_")  # what would make the process a rank
 
 
@@ -53,5 +53,6 @@ def outside_of(file: Path) -> tuple[FloatArray, IntArray, bool]:
                 return held["vertices"], held["triangles"], bool(held["bound_cells"])
         except (OSError, ValueError, BadZipFile):
             raise ValueError(
-                f"its reader crashed, with exit code {done.returncode}: the file is damaged"
+                f"its reader crashed or took too long, and ended with exit code {done.returncode}: "
+                "the file is damaged or too large"
             ) from None

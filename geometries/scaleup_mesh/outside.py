@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-_MEMORY = 8 * 2**30  # bytes that a reader may ask for
+_MEMORY, _SECONDS = 8 * 2**30, 300  # bytes and processor time that a reader may take
 _STEP = (".step", ".stp")
 _LEGACY, _XML = (".vtk",), (".vtu", ".vtp", ".vts", ".vtr", ".vti", ".pvtu", ".pvtp")
 _EDGES = 75  # triangle edges along the longest side of a solid's box
@@ -30,7 +30,7 @@ class UselessError(Exception):
 
 def main(file: Path, folder: Path) -> None:
     """Write what FILE holds into FOLDER."""
-    _limit_memory()
+    _limit()
     try:
         suffix = file.suffix.lower()
         if suffix in _STEP:
@@ -47,11 +47,12 @@ def main(file: Path, folder: Path) -> None:
         (folder / "reason.txt").write_text(kind + reason, encoding="utf-8")
 
 
-def _limit_memory() -> None:
+def _limit() -> None:
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+        resource.setrlimit(resource.RLIMIT_CPU, (_SECONDS, _SECONDS))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
@@ -124,9 +125,11 @@ def _of_dataset(data: Any) -> tuple[Any, Any, bool]:
     from vtkmodules.vtkFiltersCore import vtkTriangleFilter
     from vtkmodules.vtkFiltersGeometry import vtkDataSetSurfaceFilter
 
-    if data is None or not data.IsA("vtkPointSet") or data.GetNumberOfPoints() == 0:
+    if data is None or not data.IsA("vtkPointSet"):
         kind = data.GetClassName() if data is not None else "nothing"
         raise UselessError(f"holds {kind}; a surface mesh or a volume mesh is needed")
+    if data.GetNumberOfPoints() == 0:
+        raise UselessError("holds no points")
     if not np.isfinite(vtk_to_numpy(data.GetPoints().GetData())).all():
         raise UselessError("holds coordinates that are not finite")
     bound_cells = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -61,5 +62,6 @@ def _from_trimesh(content: bytes, suffix: str) -> tuple[FloatArray, IntArray]:
     if not content[:end].isascii():  # names and comments in any encoding; what counts is ASCII
         text = content[:end].decode("ascii", "replace").encode("ascii", "replace")
         content = text + content[end:]
-    loaded = trimesh.load_mesh(io.BytesIO(content), file_type=suffix[1:], process=False)
+    with warnings.catch_warnings(action="ignore"):  # a damaged file gets one sentence
+        loaded = trimesh.load_mesh(io.BytesIO(content), file_type=suffix[1:], process=False)
     return np.asarray(loaded.vertices, dtype=float), np.asarray(loaded.faces, dtype=np.int64)

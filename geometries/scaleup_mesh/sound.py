@@ -47,6 +47,8 @@ class _Draft:
         self.where, self.notes = where, list[str]()
         if len(faces) == 0 or len(vertices) == 0:
             raise InputError(f"{where}: holds no triangles")
+        if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+            raise InputError(f"{where}: holds vertices that have not three coordinates each")
         if len(faces) > _MOST:
             raise InputError(
                 f"{where}: {len(faces)} triangles are more than {_MOST}; take a coarser mesh"
