@@ -1,8 +1,8 @@
 """A program: mutated vessel files, read one after the other in one process.
 
-`python fuzz_vessel_files.py FOLDER COUNT SEED FORMAT...` writes and reads COUNT files of each
-format and prints, for each, "sound" or "refused"; whatever else happens is a fault, and leaves the file in
-FOLDER.
+`python fuzz_vessel_files.py FOLDER COUNT SEED FORMAT...` writes and reads about COUNT files of each
+format and prints, for each, "sound" or "refused". Whatever else happens is a fault, and leaves the
+file in FOLDER.
 """
 
 import itertools
