@@ -118,6 +118,7 @@ class Findings:
             "flux_correction": quality.correction / max(quality.model, 1e-300),
             "volume_misplaced": revolution.rehomed,
             "volume_stuck": self.frame.stuck / self.frame.volume,
+            "volume_detoured": self.frame.detoured / self.frame.volume,
             "surface_shift": self.frame.greatest_shift,
             "repeat_mismatch": revolution.mismatch,
             **{f"detector_{name}": float(series[name].max()) for name in _BOUNDS},

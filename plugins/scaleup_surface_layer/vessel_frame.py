@@ -6,7 +6,7 @@ Each interval of the flow:
  3 those that are used: that change, or that the layer runs through;
  4 components: a set of used cells that hangs together neither gains nor loses volume: their fills
    are corrected; where that cannot be done the set grows, and if that does not help either it keeps
-   its fill.
+   its fill, if that is little, or exchanges it with the others along the shortest ways.
 This is a chain, since cells that nothing moves keep what they hold, but a cheap one: every rank
 goes through it. What an interval's fluxes are (`layer_closing`) depends on its Draft alone.
 """
@@ -48,6 +48,9 @@ _SLIVERS = 1e-7  # of the bed: what may stay in cells that no flux can reach
 _MIRROR = 1e-13  # of the reach: what a symmetric vessel's mirror image may be off by
 _POCKET = 1e-2  # of the vessel's cells: fewer that hang together are no part of it
 _EXACT = 1e-9  # of the room of cells, by which a fill that is known may be corrected
+_ROOM = 0.9  # of the room of cells, by which another fill may be corrected
+_STAYS = 1e-3  # of the bed: more does not keep its fill where it should move
+_LEVELS = 20  # attempts at a surface that keeps the volume
 _GROWTH = (1, 2, 4, 0)  # rings of cells by which sets that cannot keep their volume grow
 _CHUNK = 500_000  # cells cut at once
 
@@ -77,6 +80,7 @@ class VesselFrame:
     volume         -- m^3 of bed
     shear_rate     -- 1/s, of the layer's closure
     stuck          -- greatest volume so far that was to move in cells that no flux can reach, m^3
+    detoured       -- volume so far that went other ways than the layer's, m^3
     greatest_shift -- m, of the surface that kept the volume, so far
     """
 
@@ -87,6 +91,7 @@ class VesselFrame:
     volume: float
     shear_rate: float
     stuck: float = field(default=0.0, init=False)
+    detoured: float = field(default=0.0, init=False)
     greatest_shift: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
@@ -166,12 +171,14 @@ class VesselFrame:
         for rings in _GROWTH:
             component, count = find_components(used, below)
             gain, room = component_volumes(component, count, before, after, capacity)
-            stays = np.append(np.abs(gain) > 0.9 * room, False)[component]
+            stays = np.append(np.abs(gain) > _ROOM * room, False)[component]
             lost = float(np.abs(after - before)[stays].sum())
             if lost < _SLIVERS * self.volume:
                 break
             for _ in range(rings):
                 grow(used, stays, below)
+        if lost > _STAYS * self.volume:
+            return self._exchanged(last, cells, part)
         if stays.any():
             self.stuck = max(self.stuck, lost)
             used &= ~stays
@@ -179,30 +186,88 @@ class VesselFrame:
         self._balance(component, count, before, after, capacity, shift=True)
         return Draft(cells[used], before[used], after[used], component[used], count)
 
-    def _brought_to(self, goal: FloatArray, cells: IntArray, part: IntArray) -> Draft:
-        """The draft that ends with a goal.
+    def _exchanged(self, last: BedStep, candidates: IntArray, part: IntArray) -> Draft:
+        """As `_moved`, where a part inside the vessel (a baffle) keeps sets of cells apart.
 
-        Sets of cells that must exchange volume for it are joined along the shortest ways: through
-        material, or else through any cell of the vessel.
+        What rotation and the layer brought to one side and took from the other goes around that
+        part. The surface is then moved until the bed keeps its volume.
         """
+        cells, parts = _with_more(candidates, part, self.vessel)
+        places = np.searchsorted(cells, candidates)
+        before, capacity = self.fill[cells], self.capacity[cells]
+        for _ in range(_LEVELS):
+            after = before.copy()
+            after[places] = self._cut(candidates, self.layer(last, 1.0), last.after.phase)
+            used, component, count, detoured = self._joined(
+                cells, parts, before, after, capacity, _ROOM
+            )
+            gain, room = component_volumes(component, count, before, after, capacity)
+            biggest = int(room.argmax())
+            if abs(gain[biggest]) <= _ROOM * room[biggest]:
+                break
+            self._level -= self._rise(float(gain[biggest]), float(room[biggest]))
+        self.detoured += detoured
+        return self._settled(cells, used, component, count, before, after, capacity, _ROOM)
+
+    def _brought_to(self, goal: FloatArray, cells: IntArray, part: IntArray) -> Draft:
+        """The draft that ends with a goal."""
         cells, part = _with_more(cells, part, self.vessel)
         before, after, capacity = self.fill[cells], goal[cells], self.capacity[cells]
+        used, component, count, _ = self._joined(cells, part, before, after, capacity, _EXACT)
+        return self._settled(cells, used, component, count, before, after, capacity, _EXACT)
+
+    def _joined(
+        self,
+        cells: IntArray,
+        part: IntArray,
+        before: FloatArray,
+        after: FloatArray,
+        capacity: FloatArray,
+        share: float,
+    ) -> tuple[BoolArray, IntArray, int, float]:
+        """Used cells, what hangs together, how many sets do, and the volume that was joined, m^3.
+
+        Sets of cells that must exchange volume, by more than a share of their room, are joined
+        along the shortest ways: through material, or else through any cell of the vessel.
+        """
         used, wet = self._used(before, after, part)
+        volume = 0.0
         for passable in (wet, np.ones_like(wet)):
             below = self._below(cells, passable)
             for joined in (False, True):
                 component, count = find_components(used, below)
                 gain, room = component_volumes(component, count, before, after, capacity)
-                stays = np.append(np.abs(gain) > _EXACT * room, False)[component]
-                if not stays.any():
+                sets = np.abs(gain) > share * room
+                if not sets.any():
                     break
                 if not joined:
-                    join(used, component == room.argmax(), stays, below)
+                    sets[room.argmax()] = False
+                    volume = max(volume, float(np.abs(gain[sets]).sum()))
+                    main = component == room.argmax()
+                    join(used, main, np.append(sets, False)[component], below)
+        return used, component, count, volume
+
+    def _settled(
+        self,
+        cells: IntArray,
+        used: BoolArray,
+        component: IntArray,
+        count: int,
+        before: FloatArray,
+        after: FloatArray,
+        capacity: FloatArray,
+        share: float,
+    ) -> Draft:
+        """The draft in which sets that cannot keep their volume keep their fill."""
+        gain, room = component_volumes(component, count, before, after, capacity)
+        stays = np.append(np.abs(gain) > share * room, False)[component]
         if stays.any():
             self.stuck = max(self.stuck, float(np.abs(after - before)[stays].sum()))
-            used &= ~stays
-            component, count = find_components(used, below)
-        self._balance(component, count, before, after, capacity, shift=False)
+            used = used & ~stays
+            kept = np.unique(component[used])
+            component = np.where(used, np.searchsorted(kept, component), -1)
+            count = len(kept)
+        self._balance(component, count, before, after, capacity, shift=share > _EXACT)
         return Draft(cells[used], before[used], after[used], component[used], count)
 
     def _used(
