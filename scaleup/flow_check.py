@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from scaleup.bed_lean import LeanOfBed
 from scaleup.compact_intervals import CompactInterval, CompactIntervals, cells_of_runs
 from scaleup.cut_cells import cut_fraction
 from scaleup.errors import ContractError
@@ -38,10 +39,13 @@ def check_flow(flow: FlowField, geometry: Any = None, fill_volume: float | None 
     checker.check_wrap(end)
 
 
-def check_shared_flow(flow: FlowField | None, geometry: Any, fill_volume: float, comm: Any) -> None:
+def check_shared_flow(
+    flow: FlowField | None, geometry: Any, fill_volume: float, comm: Any
+) -> tuple[float, float]:
     """`check_flow` of a flow whose intervals are shared out among ranks (collective).
 
-    Each rank looks at its own, and at how they join those of the rank before.
+    Each rank looks at its own, and at how they join those of the rank before. Returns, on every
+    rank, the least and the greatest lean of the bed at the ends of all intervals, rad.
     """
 
     def check_own() -> tuple[_FlowChecker | None, _End | None]:
@@ -77,8 +81,10 @@ def check_shared_flow(flow: FlowField | None, geometry: Any, fill_volume: float,
             checker.check_first(before)
 
     on_each(comm, check_join)
+    leans = comm.allgather([] if checker is None else checker.leans)
+    extremes = min(map(min, filter(None, leans))), max(map(max, filter(None, leans)))
     if not any(wraps):
-        return
+        return extremes
     last, holder = holders[-1], wraps.index(True)
     if last != holder:
         if comm.rank == last:
@@ -91,6 +97,7 @@ def check_shared_flow(flow: FlowField | None, geometry: Any, fill_volume: float,
             checker.check_wrap(end)
 
     on_each(comm, check_wrap)
+    return extremes
 
 
 class _Compacted(Sequence[CompactInterval]):
@@ -123,6 +130,11 @@ class _FlowChecker:
         else:
             self._parts = _Compacted(flow.intervals)
         self._grid, self._capacity, self._fill_volume = grid, capacity, fill_volume
+        self._lean: LeanOfBed | None = None
+        if geometry is not None and fill_volume is not None:
+            self._lean = LeanOfBed(grid, capacity, flow.axis, fill_volume)
+        self._speed = flow.angular_velocity if flow.frame == "vessel" else 0.0
+        self.leans: list[float] = []
         self._slack = _ROUND_OFF * grid.cell_volume
         self._index = np.full(grid.cells, -1, dtype=np.int64)
         self._marked = np.zeros(grid.cells, dtype=bool)
@@ -193,6 +205,9 @@ class _FlowChecker:
         exact = 1e-9 if part.direction.dtype == np.float64 else 1e-5
         if np.any((np.abs(length - 1.0) > exact) & (length > exact)):
             raise ContractError(f"{where}: direction must be unit vectors or zero")
+        if self._lean is not None:
+            phase, held = self._speed * part.end, self._capacity[resting]
+            self.leans.append(self._lean.of(part.cells, part.fill_end, resting, held, phase))
         active = np.concatenate([part.cells, resting])
         if self._end is None:
             self._end = part.end, np.zeros(grid.cells)

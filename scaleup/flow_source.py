@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ import numpy as np
 
 from scaleup import registry, storage
 from scaleup.api import Scene
+from scaleup.bed_lean import require_held
+from scaleup.bed_support import bed_depth, critical_height
 from scaleup.blame import blamed_on
 from scaleup.compact_intervals import CompactInterval, CompactIntervals
 from scaleup.config import RunConfig, fill_volume, flow_cautions, grid_spacing
@@ -26,6 +29,9 @@ from scaleup.hdf5 import DamagedFileError
 from scaleup.parallel import on_each, on_root
 from scaleup.progress import Reporter
 from scaleup.storage import Store
+from scaleup.vessel_shape import froude_number
+
+_LOOSE = 0.1  # critical height over the bed's depth, below which the powder is as good as loose
 
 log = logging.getLogger("scaleup")
 
@@ -84,13 +90,28 @@ def obtain_flow(config: RunConfig, comm: Any) -> FlowOutcome:
             solved = model.solve(scene, comm, progress, memory)
         if isinstance(solved, FlowField):
             solved = replace(solved, warnings=(*flow_cautions(config), *solved.warnings))
-        check_shared_flow(solved, scene.geometry, scene.fill_volume, comm)
+        leans = check_shared_flow(solved, scene.geometry, scene.fill_volume, comm)
+    solved = _judged(solved, leans, scene)
     storage.write_flow(path, solved, comm)
     del solved
     flow = on_each(comm, partial(storage.read_flow, path))
     seconds = time.monotonic() - began
     log.info("flow: solved in %.1f s and stored (%s)", seconds, path.name)
     return FlowOutcome(flow, seconds, False, wanted.key)
+
+
+def _judged(flow: FlowField | None, leans: tuple[float, float], scene: Scene) -> FlowField | None:
+    """A flow that states how far its bed leans. Raises RunError, on all ranks, if it hangs.
+
+    leans -- least and greatest, rad. Cohesive powder may hang.
+    """
+    if critical_height(scene.material) < _LOOSE * bed_depth(scene.geometry, scene.fill_volume):
+        froude = froude_number(scene.geometry, scene.speed)
+        require_held(*leans, scene.material.friction_angle, froude)
+    if flow is None:
+        return None
+    degrees = [math.degrees(lean) for lean in leans]
+    return replace(flow, summary={**flow.summary, "bed_lean_deg": degrees})
 
 
 def _reused(path: Path, scene: Scene, comm: Any) -> FlowField:

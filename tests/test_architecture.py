@@ -23,6 +23,7 @@ FLOORS = [
         "sample_flows",
         "conservative_bed",
         "compact_intervals",
+        "bed_lean",
     },
     {"flux_correction", "step_guard", "flow_check", "mixing_check"},
     {"explicit_transport", "bed_support"},

@@ -33,6 +33,7 @@ from scaleup.api import (
     flow_from_stream_function,
     level_height,
 )
+from scaleup_surface_layer.detectors import layer_figures, maxima, warnings_of
 
 if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
@@ -168,6 +169,7 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
     midbed = -(bed.distance + depths[:, None]) * normal
     streamwise = bed.along_surface(bed.velocity(midbed))
     reversal = float(np.interp(0.0, -streamwise, depths))
+    detected = _detectors(bed)
     return flow_from_stream_function(
         grid,
         psi,
@@ -186,15 +188,16 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
             "flux_midbed": float(trapezoid(np.maximum(streamwise, 0.0), depths)),
             "volume_drift": None,
             "volume_drift_reason": "the bed is in closed form",
+            **maxima(detected),
         },
-        warnings=_warnings(scene, bed),
+        warnings=warnings_of(detected, None),
     )
 
 
-def _warnings(scene: Scene, bed: RollingBed) -> tuple[str, ...]:
-    """Sentences on where the model's assumptions do not hold."""
-    found = []
-    depth = bed.radius - bed.distance
-    if bed.thickness > 0.5 * depth:
-        found.append(f"the layer is {bed.thickness / depth:.0%} of the bed's depth: it is not thin")
-    return tuple(found)
+def _detectors(bed: RollingBed) -> dict[str, FloatArray]:
+    """See `detectors`; in a circle the surface is a plane, and no wall overhangs it."""
+    fall = 2 * math.sqrt(bed.half_chord_squared) * math.sin(bed.angle)
+    shear_rate = 2 * bed.midbed_flux / bed.thickness**2
+    figures = layer_figures(bed.midbed_flux, shear_rate, fall, bed.radius - bed.distance)
+    none = dict.fromkeys(("steep", "roof", "overhang"), 0.0)
+    return {name: np.array([value]) for name, value in (figures | none).items()}

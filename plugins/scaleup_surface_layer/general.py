@@ -19,7 +19,7 @@ from scaleup.api import (
     on_root,
 )
 from scaleup_surface_layer.closed_form import layer_shear_rate
-from scaleup_surface_layer.detectors import Findings
+from scaleup_surface_layer.detectors import Findings, require_result
 from scaleup_surface_layer.lab_columns import Columns
 from scaleup_surface_layer.layer_closing import Quality, close_interval
 from scaleup_surface_layer.revolution import Revolution, revolve
@@ -77,7 +77,10 @@ def general_flow(
         layers = capacity.reshape(frame.grid.shape)
         capacity = np.concatenate([layers[::-1], layers]).ravel()
         held = MirroredParts(parts, scene.grid.counts)
-    findings = Findings(scene, frame, revolution, quality)
+    tally = comm.bcast(frame.tally, root=comm.size - 1)  # the last rank has been through all
+    findings = Findings(scene, frame, revolution, quality, tally)
+    summary = findings.summary()
+    require_result(summary)
     return FlowField(
         grid=scene.grid,
         frame="vessel",
@@ -85,7 +88,7 @@ def general_flow(
         angular_velocity=omega,
         intervals=CompactIntervals(held, times, capacity, first=mine.start),
         prefix=prefix,
-        summary=findings.summary(),
+        summary=summary,
         warnings=findings.warnings(),
     )
 

@@ -218,10 +218,11 @@ def _trace(wall, corner, spacing, reach, phase, place, floor, roof):
                     if p > 0 or q > 0:
                         continue
                     total += 1  # one line of a column is looked at for gaps
-                    for e in range(1, 8):
-                        y = low + (high - low) * e / 8
+                    y = low
+                    while y < high:
                         d = _distance(wall, px + ux * y, py + uy * y, pz)
-                        if d < -spacing[0]:
+                        if d < -0.5 * spacing[0]:
                             broken += 1
                             break
+                        y += max(0.9 * d, least)
     return total, broken

@@ -71,6 +71,20 @@ class Draft:
 
 
 @dataclass
+class Tally:
+    """What was done to the bed's fill that is not the model's, so far.
+
+    stuck          -- greatest volume that was to move in cells that no flux can reach, m^3
+    detoured       -- volume that went other ways than the layer's, m^3
+    greatest_shift -- m, of the surface that kept the volume
+    """
+
+    stuck: float = 0.0
+    detoured: float = 0.0
+    greatest_shift: float = 0.0
+
+
+@dataclass
 class VesselFrame:
     """The grid, the vessel on it, and the bed's fill as time goes on.
 
@@ -79,9 +93,7 @@ class VesselFrame:
     omega          -- rad/s
     volume         -- m^3 of bed
     shear_rate     -- 1/s, of the layer's closure
-    stuck          -- greatest volume so far that was to move in cells that no flux can reach, m^3
-    detoured       -- volume so far that went other ways than the layer's, m^3
-    greatest_shift -- m, of the surface that kept the volume, so far
+    tally          -- what was done to the fill beyond that
     """
 
     geometry: Geometry
@@ -90,9 +102,7 @@ class VesselFrame:
     omega: float
     volume: float
     shear_rate: float
-    stuck: float = field(default=0.0, init=False)
-    detoured: float = field(default=0.0, init=False)
-    greatest_shift: float = field(default=0.0, init=False)
+    tally: Tally = field(default_factory=Tally, init=False)
 
     def __post_init__(self) -> None:
         grid = self.grid
@@ -180,7 +190,7 @@ class VesselFrame:
         if lost > _STAYS * self.volume:
             return self._exchanged(last, cells, part)
         if stays.any():
-            self.stuck = max(self.stuck, lost)
+            self.tally.stuck = max(self.tally.stuck, lost)
             used &= ~stays
             component, count = find_components(used, below)
         self._balance(component, count, before, after, capacity, shift=True)
@@ -206,7 +216,7 @@ class VesselFrame:
             if abs(gain[biggest]) <= _ROOM * room[biggest]:
                 break
             self._level -= self._rise(float(gain[biggest]), float(room[biggest]))
-        self.detoured += detoured
+        self.tally.detoured += detoured
         return self._settled(cells, used, component, count, before, after, capacity, _ROOM)
 
     def _brought_to(self, goal: FloatArray, cells: IntArray, part: IntArray) -> Draft:
@@ -262,7 +272,7 @@ class VesselFrame:
         gain, room = component_volumes(component, count, before, after, capacity)
         stays = np.append(np.abs(gain) > share * room, False)[component]
         if stays.any():
-            self.stuck = max(self.stuck, float(np.abs(after - before)[stays].sum()))
+            self.tally.stuck = max(self.tally.stuck, float(np.abs(after - before)[stays].sum()))
             used = used & ~stays
             kept = np.unique(component[used])
             component = np.where(used, np.searchsorted(kept, component), -1)
@@ -304,7 +314,7 @@ class VesselFrame:
             if turn == 0 and shift and count:
                 biggest = int(room.argmax())
                 self._level -= self._rise(float(gain[biggest]), float(room[biggest]))
-                self.greatest_shift = max(self.greatest_shift, abs(self._level))
+                self.tally.greatest_shift = max(self.tally.greatest_shift, abs(self._level))
         gain, _ = component_volumes(component, count, before, after, capacity)
         put_remainder(component, gain, after, capacity)
 

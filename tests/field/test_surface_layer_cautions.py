@@ -24,7 +24,7 @@ def said(*settings, geometry="drum"):
         ([], ""),
         (["operation.speed='20 rpm'"], "beyond 0.01 inertia"),
         (["operation.speed='0.5 rpm'"], "below 0.0001 a bed does not roll"),
-        (["material.wall_friction=0.21"], "may slide on the wall"),
+        (["material.wall_friction=0.23"], "may slide on the wall"),
         (["material.cohesion='30 Pa'"], "comes down in pieces"),
     ],
 )
