@@ -80,10 +80,20 @@ class SurfaceLayer:
     def cautions(
         self, geometry: Geometry, material: Material, speed: float, fill_volume: float
     ) -> tuple[str, ...]:
-        """On the regime, beds that slide and lumps; the last two are refused if they are sure."""
+        """On the regime, beds that slide and lumps; the last two are refused if they are sure.
+
+        The closed form knows its layer beforehand, and what its detectors say.
+        """
         from scaleup_surface_layer.cautions import cautions_of
 
-        return cautions_of(geometry, material, speed, fill_volume)
+        found = cautions_of(geometry, material, speed, fill_volume)
+        if self._closed(geometry):
+            from scaleup_surface_layer.closed_form import detectors, rolling_bed
+            from scaleup_surface_layer.detectors import warnings_of
+
+            bed = rolling_bed(geometry, material, speed, fill_volume, self.options)
+            found += warnings_of(detectors(bed), None)
+        return found
 
     def solve(
         self, scene: Scene, comm: Any, progress: Progress, memory: Memory

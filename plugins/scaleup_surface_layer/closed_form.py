@@ -27,13 +27,14 @@ from scaleup.api import (
     GRAVITY,
     FloatArray,
     FlowField,
+    Geometry,
     Material,
     Scene,
     fill_to_volume,
     flow_from_stream_function,
     level_height,
 )
-from scaleup_surface_layer.detectors import layer_figures, maxima, warnings_of
+from scaleup_surface_layer.detectors import layer_figures, maxima
 
 if TYPE_CHECKING:
     from scaleup_surface_layer import SurfaceLayer
@@ -139,13 +140,18 @@ def layer_shear_rate(material: Material, options: SurfaceLayer.Options) -> float
     )
 
 
-def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
+def rolling_bed(
+    geometry: Geometry,
+    material: Material,
+    speed: float,
+    fill_volume: float,
+    options: SurfaceLayer.Options,
+) -> RollingBed:
     """The bed of a scene: b from the fill, angle atan(mu), closure from the options."""
-    material = scene.material
     return RollingBed(
-        scene.geometry.reach,
-        scene.speed,
-        -level_height(scene.geometry, scene.fill_volume),  # a circle is as deep at every angle
+        geometry.reach,
+        speed,
+        -level_height(geometry, fill_volume),  # a circle is as deep at every angle
         math.atan(material.friction),
         options.closure,
         layer_shear_rate(material, options),
@@ -155,7 +161,8 @@ def rolling_bed(scene: Scene, options: SurfaceLayer.Options) -> RollingBed:
 
 def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
     """The steady lab-frame FlowField of the rolling bed on the scene's grid."""
-    bed, grid = rolling_bed(scene, options), scene.grid
+    grid = scene.grid
+    bed = rolling_bed(scene.geometry, scene.material, scene.speed, scene.fill_volume, options)
     corners = grid.corner_points()
     depth = bed.depth_below_surface(corners)
     wall = scene.geometry.signed_distance(corners)
@@ -169,7 +176,6 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
     midbed = -(bed.distance + depths[:, None]) * normal
     streamwise = bed.along_surface(bed.velocity(midbed))
     reversal = float(np.interp(0.0, -streamwise, depths))
-    detected = _detectors(bed)
     return flow_from_stream_function(
         grid,
         psi,
@@ -188,13 +194,12 @@ def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
             "flux_midbed": float(trapezoid(np.maximum(streamwise, 0.0), depths)),
             "volume_drift": None,
             "volume_drift_reason": "the bed is in closed form",
-            **maxima(detected),
+            **maxima(detectors(bed)),
         },
-        warnings=warnings_of(detected, None),
     )
 
 
-def _detectors(bed: RollingBed) -> dict[str, FloatArray]:
+def detectors(bed: RollingBed) -> dict[str, FloatArray]:
     """See `detectors`; in a circle the surface is a plane, and no wall overhangs it."""
     fall = 2 * math.sqrt(bed.half_chord_squared) * math.sin(bed.angle)
     shear_rate = 2 * bed.midbed_flux / bed.thickness**2

@@ -17,12 +17,12 @@ from scaleup_drum import Drum
 
 BAFFLED = (
     "flow.name=surface-layer",
-    "flow.model=general",
     "flow.intervals=40",
     "geometry.diameter='160 mm'",
     "geometry.baffle_thickness='6 mm'",
     "operation.speed='15 rpm'",
     "operation.revolutions=0.5",
+    "mixing.name=semi-lagrangian",
     "material.grain_diameter='2 mm'",
     "grid.spacing='2.8 mm'",
 )
