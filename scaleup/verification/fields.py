@@ -32,6 +32,7 @@ def problem_of_field(
     field: Callable[[float], Field],
     bed: Callable[[float], Field] | None = None,
     tensor: Callable[[FlowField, Interval], FloatArray] = no_diffusion,
+    landings: int = 0,
 ) -> Problem:
     """A problem of two components, the first being the cell means of `field(time)`.
 
@@ -55,6 +56,7 @@ def problem_of_field(
         initial=lambda flow: at(flow, 0.0),
         exact=at,
         tensor=tensor,
+        landings=landings,
     )
 
 

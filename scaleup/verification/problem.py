@@ -47,6 +47,9 @@ class Problem:
     tensor    -- (flow, interval) -> diffusion tensor (dimension, dimension, n), m^2/s
     observe   -- (flow, interval, local time, concentrations) -> what `exact` is compared with
     stops     -- s, times before the end at which the concentrations are observed too
+    landings  -- the greatest number of equal parts of the duration in each of which the flow
+                 carries cells onto cells, so that a scheme of so long steps has nothing to
+                 interpolate; 0 if there are none
 
     All errors are those of component 0.
     """
@@ -63,6 +66,7 @@ class Problem:
     tensor: Callable[[FlowField, Interval], FloatArray] = no_diffusion
     observe: Callable[[FlowField, Interval, float, FloatArray], Observed] = cells_as_they_are
     stops: tuple[float, ...] = ()
+    landings: int = 0
 
 
 def uniform_tensor(tensor: FloatArray) -> Callable[[FlowField, Interval], FloatArray]:

@@ -1,7 +1,8 @@
 """Rigid rotation: bodies that should come back as they were.
 
 The vessel is a disc or a ball of radius 0.5 in the unit box, full of powder, which turns once in
-1 s about its middle; its rim cuts cells.
+1 s about its middle; its rim cuts cells. A quarter turn of the disc, and a whole one of the ball,
+carry cells onto cells.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ def _spreading(time: float) -> Field:
 
 def rotations() -> list[Problem]:
     """All problems of rigid rotation."""
-    plane = partial(problem_of_field, dimension=2, duration=1.0, flow=disc_flow)
-    space = partial(problem_of_field, dimension=3, duration=1.0, flow=ball_flow)
+    plane = partial(problem_of_field, dimension=2, duration=1.0, flow=disc_flow, landings=4)
+    space = partial(problem_of_field, dimension=3, duration=1.0, flow=ball_flow, landings=1)
     return [
         plane(
             "zalesak",
