@@ -12,6 +12,7 @@ import numpy as np
 
 from scaleup.api import BoolArray, FloatArray, Grid, IntArray
 from scaleup_semi_lagrangian import images, paths, settlement, subcells
+from scaleup_semi_lagrangian.centring import Centring, centre, find_centring, off_middles
 from scaleup_semi_lagrangian.middles import ends_of_subcells
 from scaleup_semi_lagrangian.moving_cells import MovingCells, coordinates_of, turned_round
 
@@ -64,9 +65,10 @@ class Carriage:
         self._places = np.rint(places * images.SCALE).astype(np.uint16)
         self._strides = strides_of(split)
         self._balance(moving.above, end)
-        self._settlement = settlement.settle(
+        self._settlement, part = settlement.settle(
             moving.below, moving.above, moving.coordinates, self.laid, end
         )
+        self._centring = self._find_centring(moving, end, part)
         self._means, self._slopes = subcells.stencils(per_edge)
         self._kinds = subcells.kinds(self._position, material, self._strides)
         self._corners = subcells.corners(self._position, material, self._strides)
@@ -92,6 +94,18 @@ class Carriage:
                 ratio = np.divide(fill, self.laid, out=np.ones_like(fill), where=self.laid > 0)
                 self._factor *= np.clip(ratio, 1 / _MOST_CHANGE, _MOST_CHANGE)
 
+    def _find_centring(self, moving: MovingCells, fill: FloatArray, part: IntArray) -> Centring:
+        """Where what the cells hold lies after a step."""
+        moments = np.zeros((self._grid.dimension, len(fill)))
+        images.lay_places(
+            moments, self._landed, self._places, self._below, moving.above, self._holds,
+            self._factor, self._start, moving.coordinates, np.array(self._grid.counts),
+            self._grid.periodic, self._strides, self._per_edge,
+        )  # fmt: skip
+        moments = self._split.totals(moments)
+        off = off_middles(moments, self.laid, moving.below, moving.above, self._settlement)
+        return find_centring(off, moving.below, moving.above, fill, part)
+
     def apply(self, c: FloatArray) -> tuple[float, float]:
         """Move the concentrations c (components, cells) in flattened local arrays; collective.
 
@@ -110,13 +124,16 @@ class Carriage:
         new[:, self._here] = c[:, self._there]
         flux, order = self._settlement.flux, self._settlement.order
         settlement.carry(new, content, self.laid, self._below, above, flux, order)
+        centring = self._centring
+        centre(new, centring.cells, centring.parts, centring.off, self._below, above)
         c[:, self._there] = new[:, self._here]
         return settlement.bounds(new, self._holds)
 
     @property
     def bytes(self) -> int:
         """Memory held."""
-        held = [*vars(self).values(), *vars(self._settlement).values()]
+        parts = (self, self._settlement, self._centring)
+        held = [value for part in parts for value in vars(part).values()]
         return sum(array.nbytes for array in held if isinstance(array, np.ndarray))
 
 

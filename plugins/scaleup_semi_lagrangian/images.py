@@ -122,6 +122,77 @@ def lay_volumes(
                 total[cells[p, m]] += scale * weights[p, m]
 
 
+@numba.njit(cache=True)
+def lay_places(
+    total: FloatArray,
+    landed: IntArray,
+    places: IntArray,
+    below: IntArray,
+    above: IntArray,
+    holds: BoolArray,
+    factor: FloatArray,
+    start: FloatArray,
+    coordinates: IntArray,
+    counts_along: IntArray,
+    periodic: bool,
+    strides: tuple[int, ...],
+    per_edge: int,
+) -> None:
+    """Add to `total` (dimension, m) the moments of what the sources bring about the cells' middles.
+
+    Fill fractions times cells. A part counts where its concentration is that of: as `lay_contents`
+    takes deviations from their mean over the parts, it is moved by what the mean of the parts'
+    places is off that of the sub-cells' middles.
+
+    start -- fill fraction of each source, (s,)
+    coordinates -- (m, dimension) whole numbers of the moving cells along the axes
+    counts_along -- (dimension,) cells of the grid along the axes; `periodic` in all of them
+    """
+    subcells, dimension = landed.shape[1], len(strides)
+    most = 2**dimension
+    cells = np.empty((subcells, most), dtype=np.int32)
+    weights = np.empty((subcells, most))
+    offsets = np.empty((subcells, most, dimension))
+    counts = np.empty(subcells, dtype=np.int64)
+    at = np.empty((subcells, dimension))
+    for n in range(len(landed)):
+        whole = _lay_boxes(
+            n,
+            landed,
+            places,
+            below,
+            above,
+            holds,
+            factor,
+            strides,
+            per_edge,
+            cells,
+            weights,
+            offsets,
+            counts,
+        )
+        scale, first = start[n] / whole, landed[n, 0]
+        for a in range(dimension):
+            of_middles, of_parts = 0.0, 0.0
+            for p in range(subcells):
+                apart = coordinates[landed[n, p], a] - coordinates[first, a]
+                if periodic:
+                    apart -= counts_along[a] * int(np.rint(apart / counts_along[a]))
+                at[p, a] = apart + places[n, p, a] / SCALE
+                of_middles += at[p, a]
+                for m in range(counts[p]):
+                    of_parts += weights[p, m] * (at[p, a] + offsets[p, m, a])
+            moved = of_middles / subcells - of_parts / whole
+            for p in range(subcells):
+                for m in range(counts[p]):
+                    cell = cells[p, m]
+                    apart = coordinates[cell, a] - coordinates[first, a]
+                    if periodic:
+                        apart -= counts_along[a] * int(np.rint(apart / counts_along[a]))
+                    off = at[p, a] + offsets[p, m, a] + moved - apart - 0.5
+                    total[a, cell] += scale * weights[p, m] * off
+
+
 @numba.njit(cache=True, fastmath={"contract"})
 def lay_contents(
     total: FloatArray,

@@ -45,16 +45,17 @@ class Settlement:
 
 def settle(
     below: IntArray, above: IntArray, coordinates: IntArray, laid: FloatArray, fill: FloatArray
-) -> Settlement:
+) -> tuple[Settlement, IntArray]:
     """From the laid volumes to the fills, both (m,) and fractions of a cell's volume.
 
     coordinates -- (m, dimension) whole numbers of the cells along the axes
+    Also returns which connected part of the moving cells each is in, (m,), from 0.
     """
     excess = laid - fill
     potential = _potential(below, above, coordinates, excess)
     flux = _fluxes(below, potential)
-    _along_tree(below, above, excess, flux)
-    return Settlement(flux, np.argsort(-potential, kind="stable").astype(np.int32))
+    part = _along_tree(below, above, excess, flux)
+    return Settlement(flux, np.argsort(-potential, kind="stable").astype(np.int32)), part
 
 
 def _potential(
@@ -168,8 +169,11 @@ def _fluxes(below: IntArray, potential: FloatArray) -> FloatArray:
 
 
 @numba.njit(cache=True)
-def _along_tree(below: IntArray, above: IntArray, excess: FloatArray, flux: FloatArray) -> None:
-    """Add what is missing along a spanning tree of each connected part, from its leaves inwards."""
+def _along_tree(below: IntArray, above: IntArray, excess: FloatArray, flux: FloatArray) -> IntArray:
+    """Add what is missing along a spanning tree of each connected part, from its leaves inwards.
+
+    Returns which part each cell is in, (m,).
+    """
     dimension, m = below.shape
     left = excess.copy()
     for axis in range(dimension):
@@ -179,13 +183,14 @@ def _along_tree(below: IntArray, above: IntArray, excess: FloatArray, flux: Floa
                 left[j] -= flux[axis, i]
                 left[i] += flux[axis, i]
     parent = np.full(m, -1, dtype=np.int32)
-    seen = np.zeros(m, dtype=np.bool_)
+    part = np.full(m, -1, dtype=np.int32)
     line = np.empty(m, dtype=np.int32)
-    end = 0
+    end, parts = 0, 0
     for root in range(m):
-        if seen[root]:
+        if part[root] >= 0:
             continue
-        seen[root] = True
+        part[root] = parts
+        parts += 1
         line[end] = root
         now, end = end, end + 1
         while now < end:
@@ -194,8 +199,8 @@ def _along_tree(below: IntArray, above: IntArray, excess: FloatArray, flux: Floa
             for axis in range(dimension):
                 for side in range(2):
                     j = below[axis, i] if side == 0 else above[axis, i]
-                    if j >= 0 and not seen[j]:
-                        seen[j] = True
+                    if j >= 0 and part[j] < 0:
+                        part[j] = part[i]
                         parent[j] = i
                         line[end] = j
                         end += 1
@@ -212,6 +217,7 @@ def _along_tree(below: IntArray, above: IntArray, excess: FloatArray, flux: Floa
                 flux[axis, j] += left[i]
                 break
         left[j] += left[i]
+    return part
 
 
 @numba.njit(cache=True)

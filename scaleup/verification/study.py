@@ -24,7 +24,8 @@ State = tuple[Interval, float, FloatArray]
 _SHORT = 0.2  # s: shorter runs are timed again
 _REPEATS = 3
 _WARM_UP = 1e-3  # of the duration, at most
-_PARTS = 7  # cos(2 pi/7) is irrational: no step of a turn in 7 k steps carries a grid onto itself
+PARTS = 7
+"""of a turn: cos(2 pi/7) is irrational, so that no turn by 1/(7 k) carries a grid onto itself"""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def run(
     backend.start(scene, start)
     warm_up = min(first.duration, _WARM_UP * problem.duration)
     backend.advance(0, 0.0, min(backend.stable_time_step(first), warm_up))
-    parts = parts or (_PARTS if problem.landings else 1)
+    parts = parts or (PARTS if problem.landings else 1)
     states, ledger, *cost = _march(problem, backend, scene, start, parts)
     for _ in range(_REPEATS if cost[0] < _SHORT else 0):
         again = _march(problem, backend, scene, start, parts)[2:]

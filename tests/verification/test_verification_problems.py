@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scaleup import registry
+from scaleup.api import Ledger
 from scaleup.errors import InputError
 from scaleup.testing import check_flow
 from scaleup.verification import fitted_order, problems, run
@@ -48,6 +49,44 @@ def test_the_exact_solution_keeps_mass_and_bounds(name):
         masses.append(c[0] @ interval.fill(min(local, interval.end)))
     # samples of jumps and of cut cells are no better than this
     assert masses[1] == pytest.approx(masses[0], rel=1e-5 if problem.regime == "smooth" else 3e-3)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "full-drum", "gaussian-3d"])
+def test_the_study_takes_no_step_that_lands_cells_on_cells(name):
+    """Where cells land on cells, values only change places; at a part of the study they do not."""
+    problem = EVERY[name]
+    n = problem.sizes[0]
+    asked = Asked()
+    with pytest.raises(StopIteration):
+        run(problem, asked, n)
+    flow = problem.flow(n)
+
+    def sorted_values(time):
+        return np.sort(problem.exact(flow, time)[0])
+
+    start = sorted_values(0.0)
+    landed = sorted_values(problem.duration / problem.landings)
+    assert landed == pytest.approx(start, abs=1e-9)
+    assert np.abs(sorted_values(asked.end) - start).max() > 1e-3
+
+
+class Asked:
+    """A backend that only says until when it was asked to go first, after the warm-up."""
+
+    halo = 1
+    end = 0.0
+
+    def start(self, scene, concentration, index=0):
+        """Nothing to do."""
+
+    def stable_time_step(self, interval):
+        return np.inf
+
+    def advance(self, index, start, end):
+        self.end = end
+        if end > 0.01:
+            raise StopIteration
+        return Ledger()
 
 
 def residual(problem, n: int) -> float:
