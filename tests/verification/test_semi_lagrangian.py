@@ -99,7 +99,7 @@ def test_balanced_changes_sum_to_nothing_and_only_shrink():
     assert kept == pytest.approx(np.broadcast_to(kept[0], kept.shape), abs=1e-12)
     assert kept.min() >= 0
     assert kept.max() <= 1
-    assert kept.mean() > 0.9
+    assert kept.mean() > 0.8
     one_sided = np.array([[1.0, 2.0]])
     balance(one_sided)
     assert not one_sided.any()
