@@ -462,7 +462,7 @@ def _sentence(error: ValidationError, prefix: str, model: type[Any]) -> str:
         rule = f"must be {_KINDS[first['type']]}"
     else:
         rule = first["msg"].removeprefix("Value error, ")
-        rule = rule[:1].lower() + rule[1:]
+        rule = (rule[:1].lower() + rule[1:]).replace("input should be", "must be")
     value = first["input"]
     tell = first["type"] != "missing" and (not isinstance(value, Mapping) or len(value) <= 3)
     key = prefix + ".".join(shortened(part, 40) for part in path)

@@ -34,7 +34,7 @@ class Material(Model):
     """Pa"""
     wall_friction: Annotated[float, Field(ge=0, le=2)] = 0.324
     """coefficient of friction between bed and wall"""
-    grain_diameter: units.Length = 1e-3
+    grain_diameter: Annotated[units.Length, Field(ge=1e-7)] = 1e-3
     """m"""
     grain_density: units.Density = 2500.0
     """kg/m^3"""
