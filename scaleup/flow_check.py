@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,8 @@ def check_shared_flow(
     """`check_flow` of a flow whose intervals are shared out among ranks (collective).
 
     Each rank looks at its own, and at how they join those of the rank before. Returns, on every
-    rank, the least and the greatest lean of the bed at the ends of all intervals, rad.
+    rank, the least and the greatest lean of the bed at the ends of all intervals, rad (without a
+    geometry 0).
     """
 
     def check_own() -> tuple[_FlowChecker | None, _End | None]:
@@ -81,8 +82,8 @@ def check_shared_flow(
             checker.check_first(before)
 
     on_each(comm, check_join)
-    leans = comm.allgather([] if checker is None else checker.leans)
-    extremes = min(map(min, filter(None, leans))), max(map(max, filter(None, leans)))
+    leans = list(chain.from_iterable(comm.allgather([] if checker is None else checker.leans)))
+    extremes = min(leans, default=0.0), max(leans, default=0.0)
     if not any(wraps):
         return extremes
     last, holder = holders[-1], wraps.index(True)

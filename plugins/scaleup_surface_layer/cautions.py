@@ -75,7 +75,10 @@ def _slip(geometry: Geometry, material: Material, fill_volume: float) -> tuple[s
         f"{math.degrees(lean):.3g} deg, and it yields at {math.degrees(math.atan(friction)):.3g} "
         "deg: it "
     )
-    remedy = "; set flow.name = 'mohr-coulomb', or raise material.wall_friction or the fill"
+    remedy = (
+        "; raise material.wall_friction or the fill, or set flow.name = 'mohr-coulomb', in which "
+        "beds may slide"
+    )
     if share < _SLIDES:
         raise InputError(
             f"{lifts}slides on the wall as a block, which flow 'surface-layer' cannot hold{remedy}"

@@ -42,7 +42,7 @@ _REMEDIES = {
     "slump": "set flow.shear_rate to that of a mohr-coulomb run of a drum (flow.layer_shear_rate "
     "in its report), lower operation.speed, or set flow.name = 'mohr-coulomb'",
     "thick": "lower operation.speed, or set flow.name = 'mohr-coulomb'",
-    "steep": "lower flow.slope_excess",
+    "steep": "raise flow.intervals or lower flow.slope_excess",
     "roof": "lower the fill",
     "overhang": "what baffles add to the mixing is not told; set flow.name = 'mohr-coulomb', in a "
     "vessel in space",

@@ -149,14 +149,17 @@ def test_a_flow_shared_out_is_checked_where_ranks_join_and_stored_whole(on_ranks
 
 
 def test_the_surface_layer_is_the_same_on_one_and_on_three_ranks(on_ranks, tmp_path, monkeypatch):
-    flows = []
+    flows, summaries = [], []
     for ranks in (1, 3):
         monkeypatch.setenv("SCALEUP_CACHE", str(tmp_path / str(ranks)))
         on_ranks(ranks, GENERAL)
         (path,) = (tmp_path / str(ranks)).glob("flow-*.h5")
         with h5py.File(path, "r") as file:
             flows.append({name: data[...] for name, data in file["intervals"].items()})
+            summaries.append(json.loads(file.attrs["summary"]))
     one, three = flows
+    for name in ("volume_stuck", "volume_detoured", "surface_shift", "bed_lean_deg"):
+        assert summaries[0][name] == pytest.approx(summaries[1][name], rel=1e-12), name
     for name in ("first", "first_run", "cells", "still"):
         assert np.array_equal(one[name], three[name]), name
     for name in ("fill_start", "fill_end", "flux", "shear_rate"):
