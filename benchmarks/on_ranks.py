@@ -8,13 +8,15 @@ import subprocess
 import sys
 from typing import Any
 
+from scaleup.launch import launch_environment
 
-def on_ranks(script: str, asked: float, ranks: int, **environment: str) -> dict[str, Any]:
+
+def on_ranks(script: str, asked: float | str, ranks: int, **environment: str) -> dict[str, Any]:
     """What ``script --measure asked`` prints as JSON in its last line, on so many ranks."""
     command = [sys.executable, "-m", "mpi4py", script, "--measure", str(asked)]
     done = subprocess.run(
-        ["mpiexec", "--oversubscribe", "-n", str(ranks), *command],
-        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+        ["mpiexec", "-n", str(ranks), *command],
+        env=launch_environment({**os.environ, "OMP_NUM_THREADS": "1", **environment}),
         check=True,
         stdout=subprocess.PIPE,
         text=True,
