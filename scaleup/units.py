@@ -218,14 +218,15 @@ def _quantity(quantity: Quantity) -> tuple[BeforeValidator, PlainSerializer]:
     )
 
 
-Length = Annotated[float, *_quantity(LENGTH), Field(gt=0, le=100)]
+# Bounds beyond which a value is in another unit than was thought, and arithmetic breaks down.
+Length = Annotated[float, *_quantity(LENGTH), Field(ge=1e-9, le=100)]
 Coordinate = Annotated[float, *_quantity(LENGTH), Field(ge=-100, le=100)]
-Angle = Annotated[float, *_quantity(ANGLE)]
-AngularVelocity = Annotated[float, *_quantity(SPEED), Field(gt=0)]
-ShearRate = Annotated[float, *_quantity(RATE), Field(gt=0)]
+Angle = Annotated[float, *_quantity(ANGLE), Field(ge=-1e3, le=1e3)]
+AngularVelocity = Annotated[float, *_quantity(SPEED), Field(ge=1e-6, le=1e6)]
+ShearRate = Annotated[float, *_quantity(RATE), Field(ge=1e-9, le=1e9)]
 Density = Annotated[float, *_quantity(DENSITY), Field(ge=10, le=3e4)]
-Mass = Annotated[float, *_quantity(MASS), Field(gt=0)]
+Mass = Annotated[float, *_quantity(MASS), Field(ge=1e-12, le=1e9)]
 Pressure = Annotated[float, *_quantity(PRESSURE), Field(ge=0, le=1e9)]
-Time = Annotated[float, *_quantity(TIME), Field(gt=0)]
-Pause = Annotated[float, *_quantity(TIME), Field(ge=0)]
+Time = Annotated[float, *_quantity(TIME), Field(ge=1e-15, le=1e9)]
+Pause = Annotated[float, *_quantity(TIME), Field(ge=0, le=1e9)]
 Share = Annotated[float, *_quantity(SHARE)]

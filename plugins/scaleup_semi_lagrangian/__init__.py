@@ -23,7 +23,7 @@ class SemiLagrangian:
     class Options(PluginOptions):
         """The step, which only accuracy limits, and the sub-cells."""
 
-        deformation: Annotated[float, Field(gt=0)] | None = None
+        deformation: Annotated[float, Field(ge=1e-3, le=1e3)] | None = None
         """of a cell in a step, at most: the greatest velocity gradient times the step; default 2
         in 2-D, 5 in 3-D"""
         time_step: units.Time | None = None
@@ -31,7 +31,7 @@ class SemiLagrangian:
         subcells: Annotated[int, Field(ge=2, le=8)] | None = None
         """along an edge of a cell; default 4 in 2-D, 2 in 3-D"""
 
-        memory: Annotated[float, Field(gt=0)] | None = None
+        memory: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
         """10^9 bytes on a rank, for what is kept from one revolution to the next; default: half
         of the machine's memory, shared out among the ranks on it"""
 

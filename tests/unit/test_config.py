@@ -84,7 +84,7 @@ def test_cells_choose_the_spacing():
         ("operation.speed='6 mm'", "operation.speed = '6 mm': wrong unit mm"),
         ("operation.fill.depth_ratio=1.2", "operation.fill.depth_ratio = 1.2"),
         ("operation.fill.mass=5", "operation.fill.mass = 5 kg: the vessel holds 0.2309 kg"),
-        ("geometry.diameter='-1 mm'", "geometry.diameter = '-1 mm': must be above 0"),
+        ("geometry.diameter='-1 mm'", "geometry.diameter = '-1 mm': must be at least 0.001 um"),
         ("geometry.colour=red", "unknown key; known here: size, diameter"),
         ("mixing.courant=2", "mixing.courant = 2"),
         ("flow.name=magic", "flow.name = 'magic': no such flow; installed are: mohr-coulomb"),
