@@ -187,10 +187,11 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ru
 
 def _mixing_accepts(config: RunConfig) -> None:
     """Ask a mixing backend that may refuse. Raises InputError."""
-    check = getattr(config.plugin("mixing"), "check", None)
-    if check is not None:
-        geometry = config.plugin("geometry")
-        check(geometry, component_count(config.operation.loading, geometry.dimension))
+    geometry, backend = config.plugin("geometry"), config.plugin("mixing")
+    if hasattr(backend, "check"):
+        components = component_count(config.operation.loading, geometry.dimension)
+        with blamed_on("mixing", config.mixing["name"]):
+            backend.check(geometry, components)
 
 
 def _likelier(
