@@ -29,12 +29,12 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import eigs
 
 from scaleup import registry
 from scaleup.verification import problems, run
 
 CENTRE, SIGMA = (0.5, 0.75), 0.05  # of the verification problem `gaussian`
+POWERS = 100
 STABLE = 2.5  # step times the greatest eigenvalue, of the Runge-Kutta method (2.6 to 2.8)
 
 
@@ -78,8 +78,7 @@ def discontinuous_galerkin(order: int, n: int) -> Point:
     weights = mass.diagonal()
     assert abs(mass - diags(weights)).max() < 1e-10 * weights.max()
     operator = (diags(1.0 / weights) @ matrix_of(form)).tocsr()
-    fastest = abs(eigs(operator, k=1, which="LM", return_eigenvectors=False, tol=1e-2)[0])
-    steps = math.ceil(fastest / (0.9 * STABLE))
+    steps = math.ceil(greatest_eigenvalue(operator) / (0.9 * STABLE))
     exact = ng.exp(-((ng.x - CENTRE[0]) ** 2 + (ng.y - CENTRE[1]) ** 2) / (2 * SIGMA**2))
     field = ng.GridFunction(space)
     field.Set(exact)
@@ -113,6 +112,16 @@ def matrix_of(form: Any) -> Any:
     found = csr_matrix((np.array(values), np.array(columns), np.array(rows)))
     found.eliminate_zeros()
     return found
+
+
+def greatest_eigenvalue(matrix: Any) -> float:
+    """Its size, by what the matrix makes of a vector in the end."""
+    vector = np.random.default_rng(2).normal(size=matrix.shape[0])
+    growth = []
+    for _ in range(POWERS):
+        vector = matrix @ (vector / np.linalg.norm(vector))
+        growth.append(np.linalg.norm(vector))
+    return float(np.exp(np.log(growth[POWERS // 2 :]).mean()))
 
 
 PYCLAW = """
@@ -186,13 +195,13 @@ def at_work(only: str) -> dict[str, tuple[Callable[[int], Point], tuple[int, ...
         "implicit-fem": (partial(ours, "implicit-fem"), (32, 48, 64, 96, 128, 160)),
         "lax-wendroff (flux-corrected)": (
             partial(ours, "lax-wendroff", form="flux-corrected"),
-            (96, 128, 192, 256, 384, 512, 640),
+            (64, 128, 256, 384, 512),
         ),
-        "NGSolve DG, order 3": (partial(discontinuous_galerkin, 3), (8, 12, 16, 24, 32, 48)),
-        "NGSolve DG, order 4": (partial(discontinuous_galerkin, 4), (6, 8, 12, 16, 24, 32)),
+        "NGSolve DG, order 3": (partial(discontinuous_galerkin, 3), (6, 8, 12, 16, 24, 32)),
+        "NGSolve DG, order 4": (partial(discontinuous_galerkin, 4), (5, 6, 8, 12, 16, 24)),
     }  # fmt: skip
     if only:
-        found["PyClaw, MC limiter"] = (partial(pyclaw, only, "mc"), (64, 128, 256, 512, 768))
+        found["PyClaw, MC limiter"] = (partial(pyclaw, only, "mc"), (64, 128, 256, 512))
         found["SharpClaw, WENO5"] = (partial(pyclaw, only, "weno"), (32, 48, 64, 96, 128, 192))
     return found
 

@@ -6,7 +6,7 @@ Algorithm of a step from s to t, within an interval of the flow:
 2. content moved along paths from s to t (`carriage`);
 3. diffusion over (t - s)/2 with the fills at t.
 
-No step is unstable: 2. is a mean of values for any step, and 1. and 3. take as many steps of their
+No step is unstable: 2. stays in [0, 1] for any step, and 1. and 3. take as many steps of their
 own as positivity asks for. Steps are limited for accuracy alone (`MovingCells.greatest_gradient`).
 """
 
