@@ -176,7 +176,9 @@ def section(problem: Problem, table: dict[str, dict[str, Study]]) -> str:
     for label, studies in table.items():
         aside = studies[problem.name].aside
         if aside:
-            errors = ", ".join(f"{r.l1:.1e} (N = {r.n}, {r.steps} steps)" for r in aside)
+            errors = ", ".join(
+                f"{r.l1:.1e} (N = {r.n}, {r.steps} step{'s' * (r.steps > 1)})" for r in aside
+            )
             lines.append(f"\nAside, steps that land cells on cells: {label} L1 {errors}.")
     if problem.name == DRUM:
         lines.append("\n" + against_walks(table))

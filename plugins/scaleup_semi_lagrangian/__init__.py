@@ -36,7 +36,9 @@ class SemiLagrangian:
         of the machine's memory, shared out among the ranks on it"""
 
     halo: ClassVar[int] = 3
-    order: ClassVar[float] = 1.9  # in the cell, at steps that do not shrink with it (sheared-disc: 1.7)
+    order: ClassVar[float] = (
+        1.9  # in the cell, at steps that do not shrink with it (sheared-disc: 1.7)
+    )
 
     def __init__(self, options: Options):
         self.options = options
