@@ -4,6 +4,8 @@ SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
 RANKS ?= 2
+# files are shared out among the cores; those of a file share what they solve
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile
 OUTPUT ?= runs/demo
 
 APT := python3-venv python3-numpy python3-petsc4py libpetsc-real-dev python3-mpi4py \
@@ -18,10 +20,10 @@ demo: setup
 	$(BIN)/scaleup simulate --geometry drum --ranks $(RANKS) --output $(OUTPUT) --overwrite
 
 test: setup lint
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 verify: setup
-	$(BIN)/python -m pytest -m "slow or not slow"
+	$(PYTEST) -m "slow or not slow"
 
 tables: setup
 	$(BIN)/python tools/verification_tables.py

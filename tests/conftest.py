@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from scaleup.cli import main
 from scaleup.launch import launch_environment
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -17,7 +18,11 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 @pytest.fixture(scope="session")
 def store(tmp_path_factory):
     """A store of flows that all tests of a session share, apart from the user's own."""
-    folder = tmp_path_factory.mktemp("store")
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # workers share what lies above their own folders
+        folder = folder.parent
+    folder = folder / "store"
+    folder.mkdir(exist_ok=True)
     os.environ["SCALEUP_CACHE"] = str(folder)
     return folder
 
@@ -41,11 +46,33 @@ def scaleup(store, tmp_path):
 
 
 @pytest.fixture
-def on_ranks(tmp_path):
+def refused(store, tmp_path, monkeypatch, capsys):
+    """Run a command that is refused, in an empty folder; returns the one sentence that it says.
+
+    In this process: nothing that is refused comes as far as starting MPI.
+    """
+
+    def run(*arguments: str) -> str:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["scaleup", *arguments])
+        with pytest.raises(SystemExit) as end:
+            main()
+        said = capsys.readouterr()
+        assert end.value.code == 2
+        assert said.out == ""
+        assert said.err.startswith("Error: ")
+        assert len(said.err.strip().splitlines()) == 1
+        return said.err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def on_ranks(tmp_path_factory):
     """Run a Python program on a number of ranks; returns what it printed."""
 
     def run(ranks: int, program: str, *arguments: str) -> str:
-        script = tmp_path / "program.py"
+        script = tmp_path_factory.mktemp("ranks") / "program.py"
         script.write_text(program, encoding="utf-8")
         path = [str(REPOSITORY / "tests"), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
         done = subprocess.run(

@@ -10,7 +10,7 @@ import time
 import h5py
 import pytest
 
-QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=1 mm", "--revolutions", "0.5")
+QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=2 mm", "--revolutions", "0.5")
 KEYS = {
     "schema": None,
     "model": {"dimension", "frame", "flow", "mixing", "reasons"},
@@ -192,27 +192,20 @@ def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_bad_input_is_one_sentence_and_writes_nothing(scaleup, tmp_path, arguments, sentence):
+def test_bad_input_is_one_sentence_and_writes_nothing(refused, tmp_path, arguments, sentence):
     (tmp_path / "broken.toml").write_text("[geometry\n")
-    done = scaleup("simulate", *arguments, "--output", "run")
-    assert done.returncode == 2
-    assert sentence in done.stderr
-    assert done.stderr.startswith("Error: ")
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stdout == ""
+    assert sentence in refused("simulate", *arguments, "--output", "run")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.toml"]
 
 
-def test_plugins_are_listed_and_shown(scaleup):
+def test_plugins_are_listed_and_shown(scaleup, refused):
     listed = scaleup("plugins", "list")
     for name in ("drum", "mohr-coulomb", "surface-layer", "lax-wendroff"):
         assert name in listed.stdout
     shown = scaleup("plugins", "show", "mohr-coulomb")
     assert "flow.fine_size" in shown.stdout
     assert "element size" in shown.stdout
-    unknown = scaleup("plugins", "show", "nothing")
-    assert unknown.returncode == 2
-    assert "installed are: drum" in unknown.stderr
+    assert "installed are: drum" in refused("plugins", "show", "nothing")
 
 
 def test_doctor_finds_everything_and_two_ranks_greet(scaleup):
@@ -264,23 +257,19 @@ def test_the_configuration_page_is_current(monkeypatch):
         (["--output", "file/run"], "nothing can be written"),
     ],
 )
-def test_an_output_that_cannot_be_is_said(scaleup, tmp_path, arguments, sentence):
+def test_an_output_that_cannot_be_is_said(refused, tmp_path, arguments, sentence):
     (tmp_path / "file").write_text("mine")
-    done = scaleup("simulate", *QUICK, *arguments)
-    assert done.returncode == 2
-    assert sentence in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert sentence in refused("simulate", *QUICK, *arguments)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_region_that_misses_the_bed_is_said(scaleup):
-    done = scaleup(
+def test_a_region_that_misses_the_bed_is_said(refused):
+    said = refused(
         "simulate", *QUICK, "--output", "run", "--set", "operation.loading.pattern=region",
         "--set", "operation.loading.radius=1 mm",
         "--set", "operation.loading.centre=['0 mm', '60 mm']",
     )  # fmt: skip
-    assert done.returncode == 2
-    assert "component 1 is 0% of the bed" in done.stderr
+    assert "the region holds 0 cells of the settled bed" in said
 
 
 def test_a_plan_says_what_a_run_would_cost_and_solves_nothing(scaleup, store, tmp_path):

@@ -128,7 +128,7 @@ def test_contract_with_several_components():
 
 
 def test_ten_revolutions_of_the_drum_keep_mass_and_bounds(store):
-    asked = ["grid.spacing='1 mm'", "operation.revolutions=10", "mixing.name=finite-volume"]
+    asked = ["grid.spacing='2 mm'", "operation.revolutions=10", "mixing.name=finite-volume"]
     config = compose(None, asked, {"flow": {"name": "surface-layer"}})
     blend = mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
     assert blend.mass_drift <= ROUND_OFF

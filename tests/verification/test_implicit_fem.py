@@ -252,7 +252,7 @@ from mpi4py import MPI
 from scaleup.verification import problems, run
 from scaleup_implicit_fem import ImplicitFem
 
-for name, n in (("full-drum", 24), ("sloshing-3d", 8)):
+for name, n in (("full-drum", 16), ("sloshing-3d", 6)):
     backend = ImplicitFem(ImplicitFem.Options(tolerance=1e-13))
     result = run(problems()[name], backend, n, MPI.COMM_WORLD)
     if MPI.COMM_WORLD.rank == 0:

@@ -176,12 +176,9 @@ def test_a_unit_must_be_given_and_an_unreadable_file_is_said(tmp_path):
         ("", ["geometry.axis_point=['1 m', 0, 0]"], "the axis of rotation misses the vessel"),
     ],
 )
-def test_the_command_line_says_it_and_writes_nothing(scaleup, tmp_path, change, settings, sentence):
+def test_the_command_line_says_it_and_writes_nothing(refused, tmp_path, change, settings, sentence):
     _box(tmp_path / "box.stl", change)
     texts = ["geometry.file=box.stl", "geometry.unit=m", "mixing.name=lax-wendroff", *settings]
     arguments = [word for text in texts for word in ("--set", text)]
-    done = scaleup("simulate", "--geometry", "mesh", *arguments, "--output", "run")
-    assert done.returncode == 2
-    assert sentence in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert sentence in refused("simulate", "--geometry", "mesh", *arguments, "--output", "run")
     assert [p.name for p in tmp_path.iterdir()] == ["box.stl"]

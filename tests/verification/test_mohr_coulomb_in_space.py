@@ -128,20 +128,24 @@ def test_air_far_from_the_bed_does_not_matter(monkeypatch):
     assert part.surface_angle() == pytest.approx(whole.surface_angle(), abs=math.radians(0.1))
 
 
-def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole():
+@pytest.mark.parametrize(
+    ("size", "steps", "differ"),
+    [(0.014, 4, 0.25), pytest.param(0.01, 10, 0.1, marks=pytest.mark.slow)],
+)
+def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole(size, steps, differ):
     """An avalanche in both, to the difference of two meshes; no powder crosses the plane.
 
     Speeds on two meshes of 10 mm differ by 2 %, of 14 or 20 mm by up to 20 %.
     """
     whole, half = (
-        drum_flow(COMM, size=0.01, tilt=40.0, speed=0.0, mirrored=m) for m in (False, True)
+        drum_flow(COMM, size=size, tilt=40.0, speed=0.0, mirrored=m) for m in (False, True)
     )
     assert half.unknowns < 0.7 * whole.unknowns
     assert half.volume == pytest.approx(0.5 * whole.volume)
     for flow in (whole, half):
-        for _ in range(10):
+        for _ in range(steps):
             flow.step(0.01)
-    assert mean_speed(half) == pytest.approx(mean_speed(whole), rel=0.1)
+    assert mean_speed(half) == pytest.approx(mean_speed(whole), rel=differ)
     assert half.surface_angle() == pytest.approx(whole.surface_angle(), abs=math.radians(0.3))
     plane = half.mesh.Boundaries("mirror")
     across = ngs.Integrate(half.velocity[2] ** 2, half.mesh, definedon=plane)
@@ -150,11 +154,11 @@ def test_half_of_a_vessel_that_is_its_own_mirror_image_flows_as_the_whole():
 
 
 def test_iterations_hardly_depend_on_the_mesh():
-    """Within a factor of two from 3e3 to 1.6e4 unknowns."""
+    """Within a factor of two over a factor of five in unknowns."""
     counts = {}
-    for size in (0.02, 0.014, 0.0095):
+    for size in (0.02, 0.0098):
         flow = drum_flow(COMM, size, tilt=28.0)
-        for _ in range(3):
+        for _ in range(2):
             flow.step(0.01)
         counts[flow.unknowns] = flow.iterations / flow.steps
     assert max(counts) > 5 * min(counts)
