@@ -21,7 +21,7 @@ from pydantic.fields import FieldInfo
 
 from scaleup import registry, units
 from scaleup.blame import blamed_on
-from scaleup.errors import InputError, did_you_mean, shortened, shown
+from scaleup.errors import ContractError, InputError, did_you_mean, shortened, shown
 from scaleup.feasibility import component_count, require_feasible
 from scaleup.files import read_text
 from scaleup.registry import Kind
@@ -261,13 +261,16 @@ def bed_at_rest(config: RunConfig) -> Bed:
 def flow_cautions(config: RunConfig) -> tuple[str, ...]:
     """What the flow model says of the scene before it is solved. Raises InputError if it refuses.
 
-    A flow model need not have anything to say.
+    A flow model need not have anything to say. Raises ContractError if it says no sentences.
     """
     cautions = getattr(config.plugin("flow"), "cautions", None)
     if cautions is None:
         return ()
     geometry, speed = config.plugin("geometry"), config.operation.speed
-    return tuple(cautions(geometry, config.material, speed, fill_volume(config)))
+    said = cautions(geometry, config.material, speed, fill_volume(config))
+    if not isinstance(said, (tuple, list)) or not all(isinstance(text, str) for text in said):
+        raise ContractError(f"cautions must return a tuple of sentences, not {shown(said)}")
+    return tuple(said)
 
 
 def fill_volume(config: RunConfig) -> float:

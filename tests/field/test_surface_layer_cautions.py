@@ -6,10 +6,11 @@ import pytest
 from mpi4py import MPI
 
 from scaleup import flow_source
-from scaleup.api import InputError, Material, critical_height, lifted_lean
+from scaleup.api import ContractError, InputError, Material, critical_height, lifted_lean
 from scaleup.bed_support import wall_lever
 from scaleup.config import compose, flow_cautions
 from scaleup_drum import Drum
+from scaleup_surface_layer import SurfaceLayer
 
 LAYER = ("flow.name=surface-layer", "grid.cells=300")
 
@@ -81,6 +82,12 @@ def test_the_warnings_of_a_solved_flow_begin_with_the_cautions(tmp_path, monkeyp
     config = compose(None, [*LAYER, "operation.speed='20 rpm'"])
     flow = flow_source.obtain_flow(config, MPI.COMM_SELF).flow
     assert flow.warnings[0] == flow_cautions(config)[0]
+
+
+def test_cautions_that_are_no_sentences_break_the_contract(monkeypatch):
+    monkeypatch.setattr(SurfaceLayer, "cautions", lambda *given: "one string")
+    with pytest.raises(ContractError, match=r"surface-layer.*must return a tuple of sentences"):
+        compose(None, LAYER)
 
 
 def test_a_walls_lever_by_hand():
