@@ -5,13 +5,23 @@ Never imports mpi4py: a process that has initialised MPI cannot start mpiexec.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import math
 import os
 import re
 import shutil
+import signal
+import subprocess
 import sys
+import time
 from collections.abc import Mapping
 
 from scaleup.errors import InputError, RunError
+from scaleup.stopping import SIGNALS, exit_code
+
+_PATIENCE = 8.5
+"""s that ranks are given to end when they are asked to"""
 
 RANKS_PER_CORE = 4
 """how many ranks --ranks starts on a core at most"""
@@ -72,7 +82,7 @@ def check_world(size: int) -> None:
 
 
 def relaunch_if_needed(ranks: int | None) -> None:
-    """Replace this process by `mpiexec -n ranks` of the same command, unless already launched."""
+    """Run `mpiexec -n ranks` of the same command and end with it, unless already launched."""
     if ranks is None or ranks == 1 or launched_size() > 1:
         return
     mpiexec = shutil.which("mpiexec")
@@ -81,7 +91,49 @@ def relaunch_if_needed(ranks: int | None) -> None:
     # -P: what lies in the working folder is not imported
     command = [mpiexec, "-n", str(ranks), sys.executable, "-P", "-m", "scaleup", *sys.argv[1:]]
     sys.stdout.flush()
-    os.execve(mpiexec, command, launch_environment(os.environ) | {_TOLD_BY_US: str(ranks)})
+    os._exit(attended(command, launch_environment(os.environ) | {_TOLD_BY_US: str(ranks)}))
+
+
+def attended(command: list[str], environment: Mapping[str, str]) -> int:
+    """Run mpiexec and return its exit code.
+
+    Signals that ask to end (`scaleup.stopping`) reach the ranks as SIGUSR1, which mpiexec passes
+    on: at SIGTERM and SIGINT it kills them within a second. So it gets a session of its own, out of
+    the terminal's reach, and ends with this process.
+    """
+    asked: list[int] = []
+    child: subprocess.Popen[bytes] | None = None
+
+    def pass_on(number: int, frame: object) -> None:
+        asked.append(number)
+        if child is not None:
+            child.send_signal(signal.SIGUSR1)
+
+    for number in SIGNALS:
+        signal.signal(number, pass_on)
+    child = subprocess.Popen(
+        command, env=environment, start_new_session=True, preexec_fn=_end_with_parent
+    )
+    if asked:
+        child.terminate()
+    patience = math.inf
+    while child.poll() is None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(timeout=0.5)
+        if asked and patience == math.inf:
+            patience = time.monotonic() + _PATIENCE
+        if time.monotonic() > patience:
+            child.terminate()
+    code = child.returncode
+    if asked and code:
+        return exit_code(asked[0])
+    return code if code >= 0 else 128 - code  # as a shell has it
+
+
+def _end_with_parent() -> None:
+    """Called in mpiexec's process before it begins: Linux ends it when its parent is killed."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
 
 
 def launch_environment(environment: Mapping[str, str]) -> dict[str, str]:

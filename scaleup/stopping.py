@@ -7,6 +7,7 @@ checkpoint counts. A thread watches, since handlers of Python wait for compiled 
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -16,6 +17,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from scaleup.errors import ScaleupError
+
+log = logging.getLogger("scaleup")
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
 _PATIENCE = 7.0  # s; launchers kill after 10 and more
@@ -83,6 +86,8 @@ class Stopping:
             self._number = self._number or received[0]
             if self.at_once or not self._over.wait(_PATIENCE):
                 last_act()
+                name = signal.Signals(self._number).name
+                log.error("%s: ended; the run can go on from its last checkpoint, if any", name)
                 sys.stdout.flush()
                 sys.stderr.flush()
                 os._exit(exit_code(self._number))

@@ -26,12 +26,15 @@ from scaleup import (
     source_hash,
     storage,
 )
+from scaleup.blending import mix
 from scaleup.config import compose
 from scaleup.errors import InputError, RunError
 from scaleup.flow_source import obtain_flow, stored_flow
 from scaleup.output_folder import check_output, real_folder, work_folder
 from scaleup.resumption import read_state
+from scaleup.stopping import StoppedError
 from scaleup.storage import Store
+from synthetic import sloshing
 
 SELF = MPI.COMM_SELF
 SCENE = ["grid.cells=1200", "output.checkpoint_every=0"]
@@ -168,17 +171,28 @@ def test_results_of_a_finished_run_that_were_cut_are_found_before_it_goes_on(
 # --- extending --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("first", [0.2, 0.23])  # the end of a run is a point of a longer one or not
-def test_a_finished_run_goes_on_as_if_run_in_one_go(store, quick, tmp_path, monkeypatch, first):
-    whole = pipeline.run(configure(revolutions=0.5), tmp_path / "whole", SELF)
-    folder = pipeline.run(configure(revolutions=first), tmp_path / "run", SELF)
+@pytest.mark.parametrize(
+    ("first", "kill", "total", "animate"),
+    [
+        (0.2, 0.35, 0.5, "no"),
+        (0.23, 0.35, 0.5, "no"),  # the end of the first run is no point of a longer one
+        (1.1, 1.2, 1.3, "last"),  # another revolution is the last one
+    ],
+)
+def test_a_finished_run_goes_on_as_if_run_in_one_go(
+    store, quick, tmp_path, first, kill, total, animate
+):
+    shown = f"output.animate={animate}"
+    whole = pipeline.run(configure(shown, revolutions=total), tmp_path / "whole", SELF)
+    folder = pipeline.run(configure(shown, revolutions=first), tmp_path / "run", SELF)
     before = {name: (folder / name).read_bytes() for name in ("report.json", "results.h5")}
+    longer = configure(shown, revolutions=total)
     with pytest.MonkeyPatch.context() as patch:
-        kill_at(patch, 0.35)
+        kill_at(patch, kill)
         with pytest.raises(KilledError):
-            pipeline.run(configure(revolutions=0.5), folder, SELF, resume=True)
+            pipeline.run(longer, folder, SELF, resume=True)
     assert before == {name: (folder / name).read_bytes() for name in before}
-    pipeline.run(configure(revolutions=0.5), folder, SELF, resume=True)
+    pipeline.run(longer, folder, SELF, resume=True)
     assert not work_folder(folder).exists()
     one, other = (json.loads((f / "report.json").read_text()) for f in (whole, folder))
     for section in ("mixing", "error_estimate", "ledger"):
@@ -199,6 +213,60 @@ def _close(one, other):
     if isinstance(one, float):
         return abs(one - other) <= 1e-12 * max(1.0, abs(one))
     return one == other
+
+
+class AskedAt:
+    """Stands for a signal that comes before the n-th safe point."""
+
+    def __init__(self, count):
+        self.left = count
+
+    def asked(self, comm):
+        self.left -= 1
+        return signal.SIGTERM if self.left == 0 else 0
+
+
+@pytest.mark.parametrize(
+    "mixing", ["finite-volume", "lax-wendroff", "semi-lagrangian", "implicit-fem"]
+)
+def test_a_run_that_is_asked_to_end_goes_on_where_it_was(tmp_path, mixing):
+    flow, scene = sloshing(prefix=2), [*SCENE, "operation.revolutions=0.2"]
+    config = compose(None, [*scene, "accuracy.scrutiny=20"], {"mixing": {"name": mixing}})
+    whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
+    one = mix(config, flow, SELF, checkpoint=whole)
+    for count in (3, 5, 9):  # between points of the blend curve, and at one
+        with pytest.raises(StoppedError, match="SIGTERM: ended after revolution") as caught:
+            mix(config, flow, SELF, checkpoint=part, stopping=AskedAt(count))
+        assert caught.value.exit_code == 75
+    other = mix(config, flow, SELF, checkpoint=part)
+    assert _close(one.intensity, other.intensity)
+    assert _close(one.volumes, other.volumes)
+    assert one.ledger.steps == other.ledger.steps
+    fields_one, fields_other = (
+        storage.read_checkpoint(p)[0]["concentration"] for p in (whole, part)
+    )
+    np.testing.assert_allclose(fields_other, fields_one, rtol=0, atol=1e-12)
+
+
+ENDED = """
+import os, signal, sys, time
+from scaleup import stopping
+stopping._PATIENCE = 0.3
+stop = stopping.Stopping()
+stop.at_once = sys.argv[1] == "at once"
+with stop.heeded(lambda: print("unlocked")):
+    os.kill(os.getpid(), getattr(signal, sys.argv[2]))
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("how", [("at once", "SIGTERM", 75), ("patiently", "SIGINT", 130)])
+def test_a_step_without_end_does_not_keep_a_process_that_is_asked_to_end(how):
+    done = subprocess.run(
+        [sys.executable, "-c", ENDED, *how[:2]],
+        capture_output=True, text=True, check=False, timeout=50,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (how[2], "unlocked\n"), done.stderr
 
 
 # --- locks ------------------------------------------------------------------------------------

@@ -27,13 +27,10 @@ def told(monkeypatch):
 
 @pytest.fixture
 def started(monkeypatch):
-    """The commands that this process would have become."""
+    """The commands that this process would have run and ended with."""
     commands = []
-
-    def become(path, command, environment):
-        commands.append((command, environment))
-
-    monkeypatch.setattr(os, "execve", become)
+    monkeypatch.setattr(launch, "attended", lambda *started: commands.append(started))
+    monkeypatch.setattr(os, "_exit", lambda code: None)
     monkeypatch.setattr(sys, "argv", ["scaleup", "simulate"])
     return commands
 
