@@ -1,13 +1,7 @@
 """The command line as a user meets it: whole runs, and bad input."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
-import h5py
 import pytest
 
 QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=2 mm", "--revolutions", "0.5")
@@ -70,13 +64,6 @@ def test_a_run_folder_is_complete_and_its_report_has_every_key(scaleup, tmp_path
     assert same["mixing"] == mixing
 
 
-def _is_under_way(checkpoint):
-    if not checkpoint.exists():
-        return False
-    with h5py.File(checkpoint, "r") as file:
-        return json.loads(file.attrs["state"])["point"] > 5
-
-
 def test_an_existing_run_is_kept_unless_told(scaleup, tmp_path):
     scaleup("simulate", *QUICK, "--output", "run")
     before = (tmp_path / "run" / "report.json").read_bytes()
@@ -114,37 +101,6 @@ def test_a_failed_error_estimate_does_not_lose_the_run(scaleup, tmp_path):
     assert report["error_estimate"]["segregation_intensity"] is None
     assert "twice as large" in report["error_estimate"]["segregation_intensity_reason"]
     assert any("cells thick" in sentence for sentence in report["warnings"])
-
-
-def test_a_killed_run_goes_on_to_the_same_result(scaleup, store, tmp_path):
-    arguments = (
-        "--flow", "surface-layer", "--set", "grid.spacing=0.5 mm", "--revolutions", "3",
-        "--set", "accuracy.estimate=false", "--set", "output.checkpoint_every=0",
-    )  # fmt: skip
-    whole = scaleup("simulate", *arguments, "--output", "whole")
-    assert whole.returncode == 0, whole.stderr
-    environment = {**os.environ, "SCALEUP_CACHE": str(store)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "scaleup", "simulate", *arguments, "--output", "run"],
-        cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    checkpoint = tmp_path / "run.partial" / "checkpoint.h5"
-    deadline = time.monotonic() + 60
-    while not _is_under_way(checkpoint) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert checkpoint.exists()
-    assert not (tmp_path / "run").exists()
-    refused = scaleup("simulate", *arguments, "--output", "run")
-    assert refused.returncode == 2
-    assert "scaleup resume run" in refused.stderr
-    done = scaleup("resume", "run")
-    assert done.returncode == 0, done.stderr
-    assert "resumed at revolution" in done.stderr
-    one = json.loads((tmp_path / "whole" / "report.json").read_text())["mixing"]
-    other = json.loads((tmp_path / "run" / "report.json").read_text())["mixing"]
-    assert other["segregation_intensity"] == pytest.approx(one["segregation_intensity"], abs=1e-9)
 
 
 @pytest.mark.parametrize(
