@@ -40,7 +40,7 @@ def bagnold_error(dimension: int, layers: int, time_step: float = 0.3) -> float:
             mapping=lambda x, y, z: (2 * x, 2 * y, z),
         )
         depth, down = 1.0 - ngs.z, np.array((math.sin(SLOPE), 0.0, -math.cos(SLOPE)))
-    material = Material(
+    material = Material.model_construct(  # without dimensions: no powder is as light
         bulk_density=1.0,
         grain_density=1.0 + 1e-9,
         friction_angle=math.atan(MU_S),
