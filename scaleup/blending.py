@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,12 +16,14 @@ import numpy as np
 from scaleup import storage
 from scaleup.api import Ledger, MixingScene
 from scaleup.config import RunConfig
+from scaleup.crew import Crew
 from scaleup.decomposition import Decomposition
 from scaleup.diffusion_tensor import diffusion_tensor
 from scaleup.errors import InputError
 from scaleup.flow_field import FlowField, Interval
 from scaleup.grid import FloatArray
 from scaleup.loading import initial_concentration
+from scaleup.march import State, march
 from scaleup.metrics import Sampler, centre_line
 from scaleup.mixing_check import CheckedMixing
 from scaleup.parallel import on_each, on_root
@@ -40,6 +43,7 @@ class Blend:
     lacey, rsd -- of the component that is blended worst
     volumes  -- of each component, m^3
     sample_volume -- m^3 of powder in a sample, on the average
+    ranks    -- how many worked, at the most
     elapsed  -- s of wall-clock time, those before a resumption included
     remarks  -- sentences on how the run went that its reader should know
     profiles -- by revolution: depth below the surface over bed depth, and concentration
@@ -56,6 +60,7 @@ class Blend:
     ledger: Ledger = field(default_factory=Ledger)
     seconds: float = 0.0
     sample_volume: float = 0.0
+    ranks: int = 0
     remarks: list[str] = field(default_factory=list)
 
     @property
@@ -75,6 +80,7 @@ def mix(
     force: bool = False,
     changed_code: bool = False,
     stopping: Stopping | None = None,
+    crew: Crew | None = None,
 ) -> Blend:
     """Blend on a flow and measure it along the way; collective.
 
@@ -84,109 +90,122 @@ def mix(
     changed_code -- go on from it even if it was computed with other code
     stopping     -- whether the run is asked to end. Raises StoppedError when it is, with a
                     checkpoint kept
+    crew         -- the ranks of `comm` that work; by default those that have a core
     """
     root = comm.rank == 0
-    period = config.operation.period
-    # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
-    waited = flow.lift / (2 * math.pi) if config.operation.start == "level-bed" else 0.0
     plan = Plan.of(config, flow, with_pictures=results is not None)
-    points = plan.points
-    blend, first, index, local, clock = Blend(), 0, 0, 0.0, 0.0
-    resumed = checkpoint is not None and on_root(comm, checkpoint.exists)
-    if checkpoint is not None and resumed:
-        concentration, state = on_each(
-            comm, partial(_resumed_state, checkpoint, config, flow, changed_code)
+    blend, reached = Blend(), -1
+    if checkpoint is not None and on_root(comm, checkpoint.exists):
+        begin, blend, reached = on_each(
+            comm, partial(_resumed_state, checkpoint, config, flow, changed_code, plan)
         )
-        first = points.index(state["revolution"])
-        index, local, clock = state["interval"], state["time"], state["clock"]
-        blend = Blend(**{**state["blend"], "ledger": Ledger(**state["blend"]["ledger"])})
-        blend.profiles = {
-            key: profile for key, profile in blend.profiles.items() if float(key) in plan.snapshots
-        }
-        log.info("resumed at revolution %.3f", points[first])
+        log.info("resumed at revolution %.3f", plan.points[reached])
     else:
-        concentration = initial_concentration(config.operation.loading, flow)
-    backend = CheckedMixing(config.plugin("mixing"), config.mixing["name"])
-    split = Decomposition(flow.grid, flow.ever_active(), comm, halo=backend.halo)
-    tensor = partial(_tensor, flow=flow, config=config)
-    grain = config.material.grain_diameter
+        begin = State(initial_concentration(config.operation.loading, flow))
 
-    def begin(revolution: float) -> None:
-        law = tensor if revolution >= round(config.diffusion.after, 9) else _no_diffusion
-        scene = MixingScene(flow, config.diffusion, grain, split, law, force)
-        backend.start(scene, concentration, index, local)
-
-    def keep(revolution: float) -> None:
+    def keep(state: State, revolution: float) -> None:
         if checkpoint is not None and root:
-            state = {
+            kept = {
                 "run": identity(config),
                 "revolution": revolution,
-                "interval": index,
-                "time": local,
-                "clock": clock,
+                "interval": state.index,
+                "time": state.local,
+                "clock": state.clock,
                 "blend": asdict(blend),
                 "instants": plan.instants(revolution) if results is not None else {},
             }
-            storage.write_checkpoint(checkpoint, {"concentration": concentration}, state)
+            storage.write_checkpoint(checkpoint, {"concentration": state.concentration}, kept)
 
-    def end_if_asked(revolution: float) -> None:
-        nonlocal concentration
-        asked = stopping.asked(comm) if stopping is not None else 0
-        if not asked:
-            return
-        kept = "no checkpoint was asked for"
-        if checkpoint is not None:
-            concentration = backend.concentration(flow.intervals[index], local)
-            keep(revolution)
-            kept = "the run can go on from its checkpoint (scaleup resume)"
-        raise StoppedError(asked, f"ended after revolution {revolution:g}; {kept}")
+    with (
+        crew or Crew(comm) as crew,
+        Reporter("mixing", visible=root and results is not None) as progress,
+    ):
 
-    begin(points[first])
-    began = last_kept = time.monotonic() - blend.seconds
-    last_kept += blend.seconds
-    if results is not None and root and not resumed:
-        results.create()
-    with Reporter("mixing", visible=root and results is not None) as progress:
-        for number in range(first, len(points)):
-            revolution = points[number]
-            if number == first and resumed:
-                continue
-            now = max(0.0, (revolution - waited) * period)
-            for index, start, local in flow.schedule(clock, now):
-                blend.ledger.add(backend.advance(index, start, local))
-                clock += local - start
-                blend.seconds = time.monotonic() - began
-                if clock < now:
-                    end_if_asked(points[number - 1])
-            clock = now
-            interval = flow.intervals[index]
-            local = min(max(local, interval.start), interval.end)  # a steady part has no end
-            concentration = backend.concentration(interval, local)
-            if revolution in plan.curve:
-                _measure(blend, config, flow, interval, local, revolution, concentration)
+        def asked() -> int:
+            return stopping.asked(crew.comm) if stopping is not None else 0
+
+        last_kept = time.monotonic()
+        began = last_kept - blend.seconds
+        for number, state in _states(config, flow, plan, begin, reached, crew, asked, force):
+            revolution, interval = plan.points[number], flow.intervals[state.index]
+            if results is not None and root and number == 0 and not state.paused:
+                results.create()
+            if revolution in plan.curve and not state.paused:
+                _measure(blend, config, flow, state, revolution)
                 blend.elapsed.append(time.monotonic() - began)
-            if results is not None and root:
+            if results is not None and root and not state.paused:
                 if revolution in plan.pictures:
-                    results.add_picture(revolution, interval, local, concentration)
+                    results.add_picture(revolution, interval, state.local, state.concentration)
                 if revolution in plan.snapshots:
-                    results.add(revolution, interval, local, concentration)
-                    _profile(blend, flow, interval, revolution, concentration)
+                    results.add(revolution, interval, state.local, state.concentration)
+                    _profile(blend, flow, interval, revolution, state.concentration)
             progress(
-                (number + 1) / len(points),
+                (number + 1) / len(plan.points),
                 f"revolution {revolution:.2f}, I = {blend.intensity[-1]:.3f}",
             )
-            if number > first and revolution == round(config.diffusion.after, 9):
-                begin(revolution)
-            blend.seconds = time.monotonic() - began
+            blend.seconds, blend.ledger = time.monotonic() - began, state.ledger
+            blend.ranks = max(blend.ranks, crew.size)
+            if revolution > plan.final:
+                continue
+            stop = state.paused or asked()
             due = time.monotonic() - last_kept >= config.output.checkpoint_every
-            if revolution <= plan.final:
-                if due or revolution == plan.final:
-                    last_kept = time.monotonic()
-                    keep(revolution)
-                end_if_asked(revolution)
+            if stop or due or revolution == plan.final:
+                last_kept = time.monotonic()
+                keep(state, revolution)
+            if stop:
+                kept = "no checkpoint was asked for"
+                if checkpoint is not None:
+                    kept = "the run can go on from its checkpoint (scaleup resume)"
+                raise StoppedError(stop, f"ended after revolution {revolution:g}; {kept}")
     if results is not None:
-        on_root(comm, partial(results.finish, plan.instants(points[-1])))
-    return blend
+        on_root(comm, partial(results.finish, plan.instants(plan.points[-1])))
+    # a rank that sat out has seen but a part
+    return blend if comm.size == 1 else comm.bcast(blend)
+
+
+def _states(
+    config: RunConfig,
+    flow: FlowField,
+    plan: Plan,
+    state: State,
+    reached: int,
+    crew: Crew,
+    asked: Callable[[], int],
+    force: bool,
+) -> Iterator[tuple[int, State]]:
+    """(number of the last point reached, state) from point to point, on the ranks that work.
+
+    The backend starts again when diffusion sets in and when other ranks work. Where the run is
+    asked to end there is a paused state, too.
+    """
+    backend = CheckedMixing(config.plugin("mixing"), config.mixing["name"])
+    period, sets_in = config.operation.period, round(config.diffusion.after, 9)
+    # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
+    waited = flow.lift / (2 * math.pi) if config.operation.start == "level-bed" else 0.0
+    times = [max(0.0, (revolution - waited) * period) for revolution in plan.points]
+    tensor = partial(_tensor, flow=flow, config=config)
+    grain, last = config.material.grain_diameter, len(times) - 1
+    while reached < last:
+        crew.muster()
+        if crew.comm is None:
+            state, reached = crew.rest()
+            continue
+        began = time.monotonic()
+        split = Decomposition(flow.grid, flow.ever_active(), crew.comm, halo=backend.halo)
+        diffuses = plan.points[max(reached, 0)] >= sets_in
+        law = tensor if diffuses else _no_diffusion
+        scene = MixingScene(flow, config.diffusion, grain, split, law, force)
+        backend.start(scene, state.concentration, state.index, state.local)
+        restart = time.monotonic() - began
+        steps = march(flow, backend, times[reached + 1 :], state, pause=asked)
+        for state in steps:
+            reached += not state.paused
+            yield reached, state
+            sets_in_now = plan.points[reached] >= sets_in and not diffuses
+            if crew.wants_change(restart) or sets_in_now:
+                break
+        if crew.due or reached == last:
+            crew.call((state, reached))
 
 
 def check_resumable(config: RunConfig, checkpoint: Path, *, changed_code: bool) -> None:
@@ -198,14 +217,20 @@ def check_resumable(config: RunConfig, checkpoint: Path, *, changed_code: bool) 
 
 
 def _resumed_state(
-    checkpoint: Path, config: RunConfig, flow: FlowField, changed_code: bool
-) -> tuple[FloatArray, dict[str, Any]]:
-    concentration, state = read_state(checkpoint, config, changed_code=changed_code)
-    index = state["interval"]
+    checkpoint: Path, config: RunConfig, flow: FlowField, changed_code: bool, plan: Plan
+) -> tuple[State, Blend, int]:
+    """State, curve and number of the last point reached of a checkpoint."""
+    concentration, kept = read_state(checkpoint, config, changed_code=changed_code)
+    index = kept["interval"]
     cells = len(flow.intervals[index].cells) if 0 <= index < len(flow.intervals) else -1
     if concentration.shape[1:] != (cells,) or not np.isfinite(concentration).all():
         raise InputError(f"{checkpoint}: does not fit the flow; simulate the run again")
-    return concentration, state
+    blend = Blend(**{**kept["blend"], "ledger": Ledger(**kept["blend"]["ledger"])})
+    blend.profiles = {
+        key: profile for key, profile in blend.profiles.items() if float(key) in plan.snapshots
+    }
+    state = State(concentration, kept["clock"], index, kept["time"], blend.ledger)
+    return state, blend, plan.points.index(kept["revolution"])
 
 
 def _tensor(interval: Interval, flow: FlowField, config: RunConfig) -> FloatArray:
@@ -221,20 +246,19 @@ def _measure(
     blend: Blend,
     config: RunConfig,
     flow: FlowField,
-    interval: Interval,
-    time_in_interval: float,
+    state: State,
     revolution: float,
-    concentration: FloatArray,
 ) -> None:
-    sampler = Sampler(flow.grid, interval, time_in_interval, config.sample_edge)
-    components = [sampler.measure(component) for component in concentration]
+    interval = flow.intervals[state.index]
+    sampler = Sampler(flow.grid, interval, state.local, config.sample_edge)
+    components = [sampler.measure(component) for component in state.concentration]
     blend.revolutions.append(revolution)
     blend.intensity.append(components[0].intensity)
     blend.intensity_sample.append(components[0].intensity_sample)
     blend.lacey.append(min(component.lacey for component in components))
     blend.rsd.append(max(component.rsd for component in components))
     # numpy's pairwise sum: a dot product of as many equal terms is off by 1e-12
-    held = (concentration * interval.fill(time_in_interval)).sum(axis=1)
+    held = (state.concentration * interval.fill(state.local)).sum(axis=1)
     blend.volumes.append(held.tolist())
     blend.sample_volume = sampler.sample_volume
 

@@ -39,6 +39,13 @@ def cli(debug: bool) -> None:
     _shows_tracebacks = debug
 
 
+all_ranks_option = click.option(
+    "--all-ranks",
+    is_flag=True,
+    help="Mix on all ranks, those too for which the machine has no free core.",
+)
+
+
 def scene_options(command: Callable[..., None]) -> Callable[..., None]:
     """The arguments and options that say what is run."""
     for decorate in reversed(
@@ -91,11 +98,13 @@ def _scene(
 @click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
 @click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
 @click.option("--animate", is_flag=True, help="Animate the first revolution (GIF).")
+@all_ranks_option
 def simulate(
     ranks: int | None,
     output: Path | None,
     overwrite: bool,
     force: bool,
+    all_ranks: bool,
     **scene: Any,
 ) -> None:
     """Blend a powder: flow, mixing, metrics and report.
@@ -118,7 +127,7 @@ def simulate(
         if output is None:  # all ranks must agree on the folder's name
             sys.argv += ["--output", str(folder)]
     relaunch_if_needed(ranks)
-    _run(run_config, folder, overwrite=overwrite, force=force)
+    _run(run_config, folder, overwrite=overwrite, force=force, all_ranks=all_ranks)
 
 
 @cli.command()
@@ -144,9 +153,8 @@ def plan(ranks: int | None, measure: bool, **scene: Any) -> None:
 @click.option("--revolutions", help="How many revolutions to blend in all, more than before.")
 @click.option("--force", is_flag=True, help="Allow mixing steps beyond the limit of stability.")
 @click.option("--changed-code", is_flag=True, help="Go on although the code has changed.")
-def resume(
-    folder: Path, ranks: int | None, revolutions: str | None, force: bool, changed_code: bool
-) -> None:
+@all_ranks_option
+def resume(folder: Path, ranks: int | None, revolutions: str | None, **how: bool) -> None:
     """Go on with a run that was ended, or is finished; FOLDER is what --output was.
 
     A finished run goes on to more --revolutions and is replaced when those are complete.
@@ -163,7 +171,7 @@ def resume(
         flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
     config = compose(begun_configuration(folder), flags=flags)
     relaunch_if_needed(ranks)
-    _run(config, folder, resume=True, force=force, changed_code=changed_code)
+    _run(config, folder, resume=True, **how)
 
 
 @cli.command()
@@ -385,7 +393,7 @@ def _print_summary(folder: Path) -> None:
         click.echo(f"warning              {sentence}")
     click.echo(
         f"time                 flow {timing['flow_s']:.1f} s, mixing {timing['mixing_s']:.1f} s "
-        f"({timing['cell_updates_per_s']:.3g} cell updates/s on {timing['ranks']} rank(s)), "
+        f"({timing['cell_updates_per_s']:.3g} cell updates/s on {timing['mixing_ranks']} rank(s)), "
         f"total {timing['total_s']:.1f} s"
     )
     click.echo(f"report               {folder / 'report.html'}")

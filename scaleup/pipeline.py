@@ -11,6 +11,7 @@ from typing import Any
 
 from scaleup.blending import Blend, check_resumable, mix
 from scaleup.config import RunConfig, fill_in_all_kinds
+from scaleup.crew import Crew
 from scaleup.errors import ScaleupError
 from scaleup.flow_field import FlowField
 from scaleup.flow_source import FlowOutcome, obtain_flow
@@ -34,6 +35,7 @@ def run(
     resume: bool = False,
     force: bool = False,
     changed_code: bool = False,
+    all_ranks: bool = False,
 ) -> Path:
     """Run a configuration; collective. Returns the run folder.
 
@@ -41,7 +43,7 @@ def run(
     from which `resume` goes on, on a finished run too. Meanwhile the folder is locked. A signal
     ends the run with a StoppedError or at once (`scaleup.stopping`).
     """
-    lock, stopping = RunLock(folder), Stopping()
+    lock, stopping, crew = RunLock(folder), Stopping(), Crew(comm, all_ranks=all_ranks)
     on_root(comm, lock.take)
     try:
         with stopping.heeded(lock.release):
@@ -50,7 +52,9 @@ def run(
             )
             work = on_root(comm, partial(open_folder, folder, config.to_toml(), resume=resume))
             with _logged_to(work / "run.log", comm):
-                _run_in(work, config, comm, stopping, force, changed_code)
+                blending = partial(mix, config, comm=comm, force=force, stopping=stopping,
+                                   changed_code=changed_code, crew=crew)  # fmt: skip
+                _run_in(work, config, comm, stopping, blending, changed_code)
             on_root(comm, partial(publish, work, folder))
     finally:
         if comm.rank == 0:
@@ -59,7 +63,12 @@ def run(
 
 
 def _run_in(
-    work: Path, config: RunConfig, comm: Any, stopping: Stopping, force: bool, changed_code: bool
+    work: Path,
+    config: RunConfig,
+    comm: Any,
+    stopping: Stopping,
+    blending: Callable[..., Blend],
+    changed_code: bool,
 ) -> None:
     """Everything that is in a run folder but its lock; collective."""
     log.info("scaleup on %d rank(s); %s", comm.size, _describe(config))
@@ -67,8 +76,6 @@ def _run_in(
     on_root(comm, partial(check_resumable, config, kept, changed_code=changed_code))
     outcome = obtain_flow(config, comm)
     results = Results.of(work, outcome.flow)
-    blending = partial(mix, config, comm=comm, force=force, changed_code=changed_code,
-                       stopping=stopping)  # fmt: skip
     stopping.at_once = False
     blend = blending(outcome.flow, results=results, checkpoint=kept)
     coarse = _coarse_blend(config, outcome.flow, partial(blending, checkpoint=estimated))
@@ -105,7 +112,7 @@ def _report(
 ) -> None:
     """Say what came of a run, in its folder and in the store. Whatever fails here is a warning."""
     with _finished_all_the_same("costs.jsonl, for estimates of later runs", blend):
-        record_run(config, outcome, blend, ranks)
+        record_run(config, outcome, blend)
     with _finished_all_the_same("results.xdmf", blend):
         results.write_xdmf()
     with _finished_all_the_same("the report", blend):

@@ -16,6 +16,7 @@ from scaleup.config import (
     flow_cautions,
     grid_spacing,
 )
+from scaleup.crew import Crew
 from scaleup.feasibility import machine_memory
 from scaleup.flow_source import FlowOutcome, make_grid, obtain_flow, stored_flow
 from scaleup.sampling import Samples
@@ -101,14 +102,14 @@ def measure(config: RunConfig, comm: Any) -> None:
         )
         require_resolved(config.plugin("geometry"), grid_spacing(trial))
         outcome = obtain_flow(trial, comm)
-        blend = mix(trial, outcome.flow, comm)
+        blend = mix(trial, outcome.flow, comm, crew=Crew(comm, all_ranks=True))
         if number == 0:  # compiled loops are built in the first run, so its times are not true
-            blend = mix(trial, outcome.flow, comm)
+            blend = mix(trial, outcome.flow, comm, crew=Crew(comm, all_ranks=True))
         if comm.rank == 0:
-            record_run(trial, outcome, blend, comm.size)
+            record_run(trial, outcome, blend)
 
 
-def record_run(config: RunConfig, outcome: FlowOutcome, blend: Blend, ranks: int) -> None:
+def record_run(config: RunConfig, outcome: FlowOutcome, blend: Blend) -> None:
     """Put on record what a finished run has cost."""
     if blend.ledger.steps == 0:
         return
@@ -119,7 +120,7 @@ def record_run(config: RunConfig, outcome: FlowOutcome, blend: Blend, ranks: int
         mixing=config.mixing["name"],
         dimension=flow.grid.dimension,
         cells=len(flow.intervals[0].cells),
-        ranks=ranks,
+        ranks=blend.ranks,
         revolutions=blend.revolutions[-1],
         steps=blend.ledger.steps,
         flow_s=None if outcome.reused else outcome.seconds,

@@ -168,6 +168,7 @@ def compile_report(
             "estimate_s": estimate_seconds,
             "total_s": outcome.seconds + blend.seconds + estimate_seconds,
             "ranks": ranks,
+            "mixing_ranks": blend.ranks,
             "cell_updates_per_s": ledger.cell_updates / max(blend.seconds, 1e-9),
         },
         "machine": {

@@ -30,6 +30,10 @@ class StoppedError(ScaleupError):
     def __init__(self, number: int, sentence: str):
         super().__init__(f"{signal.Signals(number).name}: {sentence}")
         self.exit_code = exit_code(number)
+        self._told = number, sentence
+
+    def __reduce__(self) -> tuple[type[StoppedError], tuple[int, str]]:
+        return StoppedError, self._told  # pickled, it goes to other ranks
 
 
 def exit_code(number: int) -> int:

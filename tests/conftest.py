@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from scaleup.cli import main
+from scaleup.crew import ALL_RANKS
 from scaleup.launch import launch_environment
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -25,6 +26,12 @@ def store(tmp_path_factory):
     folder.mkdir(exist_ok=True)
     os.environ["SCALEUP_CACHE"] = str(folder)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def all_ranks_mix():
+    """Ranks are tested whatever else the machine does; those that sit out have their own test."""
+    os.environ[ALL_RANKS] = "1"
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ FLOORS = [
     {"blame"},
     {"spread", "cut_kernel", "merged_cells", "flux_kernels", "symmetric_solve"},
     {"cut_cells", "closed_surface"},
-    {"flow_field", "scene", "parallel", "decomposition", "progress", "loading_file"},
+    {"flow_field", "scene", "parallel", "crew", "decomposition", "progress", "loading_file"},
     {
         "stream_function",
         "output_folder",
@@ -25,7 +25,7 @@ FLOORS = [
         "compact_intervals",
         "bed_lean",
     },
-    {"flux_correction", "step_guard", "flow_check", "mixing_check"},
+    {"march", "flux_correction", "step_guard", "flow_check", "mixing_check"},
     {"explicit_transport", "bed_support"},
     {"api", "loading", "diffusion_tensor", "metrics", "feasibility"},
     {"ray_kernel"},
