@@ -27,10 +27,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scaleup.api import Scene
-from scaleup.config import compose, fill_volume
-from scaleup.flow_source import make_grid
-from scaleup.storage import Store
+from scaleup.case.composing import compose
+from scaleup.contract import Scene
+from scaleup.flow.storage import Store
 from scaleup_mohr_coulomb.mid_bed import mid_bed, surface_speed
 from scaleup_mohr_coulomb.solve import steady_bed
 
@@ -51,16 +50,16 @@ COMPARED = (1e-3, 12e-3)  # m of depth
 
 
 def solve(name: str, changes: tuple[str, ...]) -> dict[str, Any]:
-    config = compose(None, [*BASE, *changes])
+    case = compose(None, [*BASE, *changes])
     scene = Scene(
-        geometry=config.plugin("geometry"),
-        material=config.material,
-        speed=config.operation.speed,
-        fill_volume=fill_volume(config),
-        grid=make_grid(config),
+        geometry=case.geometry,
+        material=case.material,
+        speed=case.operation.speed,
+        fill_volume=case.fill_volume,
+        grid=case.grid,
         inputs={"study": "drum against particles", "case": name},
     )
-    flow = config.plugin("flow")
+    flow = case.flow
     memory = Store().memory_of(type(flow), type(scene.geometry))
     bed = steady_bed(scene, flow.options, lambda share, text: print(f"{name}: {text}"), memory)
     middle = mid_bed(bed)

@@ -24,8 +24,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scaleup.api import RunError
-from scaleup.config import compose, fill_volume
+from scaleup.case.composing import compose
+from scaleup.contract import RunError
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.mid_bed import mid_bed, surface_speed
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
@@ -112,9 +112,9 @@ CASES = {
 
 def solve(name: str, case: Case) -> dict[str, Any]:
     """Figures of the mean bed, or under "failed" why there is none."""
-    config = compose(None, [f"material.{key}={value}" for key, value in case.material.items()])
-    geometry, material = config.plugin("geometry"), config.material
-    drive = Drive(fill_volume(config) / geometry.depth, case.rpm * math.pi / 30)
+    drum = compose(None, [f"material.{key}={value}" for key, value in case.material.items()])
+    geometry, material = drum.geometry, drum.material
+    drive = Drive(drum.fill_volume / geometry.depth, case.rpm * math.pi / 30)
 
     def by_rule(time_step: float | None = None) -> Discretisation:
         sizes = {"fine_size": case.fine_size, "nonlocal_length": case.nonlocal_length}

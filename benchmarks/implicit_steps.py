@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpi4py import MPI
 
-from scaleup import registry
+from scaleup.system import registry
 from scaleup.verification import problems, run
 from scaleup.verification.study import scene_of
 

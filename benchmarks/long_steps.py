@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from scaleup import parallel, storage
+from scaleup.flow import storage
+from scaleup.system import parallel
 
 METHODS = ("semi-lagrangian", "finite-volume")
 OPTIONS = {"semi-lagrangian": ["mixing.deformation=4"], "finite-volume": []}
@@ -57,20 +58,20 @@ def overlaps(lower: float, spacing: float, count: int, low: float, squares: int)
 
 
 def run(comm: Any, method: str, k1: float, cells: int, revolutions: float) -> Run:
-    from scaleup.blending import mix
-    from scaleup.config import compose
-    from scaleup.flow_source import obtain_flow
+    from scaleup.case.composing import compose
+    from scaleup.flow.source import obtain_flow
+    from scaleup.run.blending import mix
 
     asked = [
         f"mixing.name={method}", *OPTIONS[method], f"diffusion.k1={k1}", f"grid.cells={cells}",
         f"operation.revolutions={revolutions}",
     ]  # fmt: skip
-    config = compose(None, asked, {"flow": {"name": "mohr-coulomb"}})
-    flow = obtain_flow(config, comm).flow
+    case = compose(None, asked, {"flow": {"name": "mohr-coulomb"}})
+    flow = obtain_flow(case, comm).flow
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "checkpoint.h5"
         began = time.process_time()
-        blend = mix(config, flow, comm, checkpoint=kept)
+        blend = mix(case, flow, comm, checkpoint=kept)
         seconds = time.process_time() - began
         concentration = storage.read_checkpoint(kept)[0]["concentration"][0]
     grid, interval = flow.grid, flow.intervals[-1]

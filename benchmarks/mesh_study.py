@@ -23,7 +23,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scaleup import parallel
+from scaleup.system import parallel
 
 CELLS = (25_000, 50_000, 100_000, 200_000, 400_000, 800_000)
 K1 = (0.04, 0.005)
@@ -37,14 +37,14 @@ PAPER_CELLS = {0.04: 74_000, 0.005: 147_000}
 
 
 def run(comm: Any, method: str, k1: float, cells: int, revolutions: float) -> dict[str, Any]:
-    from scaleup.blending import mix
-    from scaleup.config import compose
-    from scaleup.flow_source import obtain_flow
+    from scaleup.case.composing import compose
+    from scaleup.flow.source import obtain_flow
+    from scaleup.run.blending import mix
 
     asked = [f"grid.cells={cells}", f"diffusion.k1={k1}", f"operation.revolutions={revolutions}"]
-    config = compose(None, [*METHODS[method], *asked], {"flow": {"name": "mohr-coulomb"}})
-    flow = obtain_flow(config, comm).flow
-    blend = mix(config, flow, comm)
+    case = compose(None, [*METHODS[method], *asked], {"flow": {"name": "mohr-coulomb"}})
+    flow = obtain_flow(case, comm).flow
+    blend = mix(case, flow, comm)
     return {
         "active": len(flow.intervals[0].cells),
         "revolutions": blend.revolutions,

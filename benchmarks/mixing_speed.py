@@ -22,28 +22,27 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from scaleup.api import BRIDGE, runs_of
+from scaleup.numerics import BRIDGE, runs_of
 from scaleup_lax_wendroff import stencil
 
 DRUM = """
 import sys
-from scaleup import parallel
-from scaleup.config import compose
+from scaleup.system import parallel
+from scaleup.case.composing import compose
 comm = parallel.start()
-from scaleup.blending import mix
-from scaleup.flow_source import obtain_flow
-config = compose(None, sys.argv[1:], {"flow": {"name": "surface-layer"}})
-flow = obtain_flow(config, comm).flow
-mix(config.model_copy(update={"operation": config.operation.model_copy(
-    update={"revolutions": 0.3})}), flow, comm)
-blend = mix(config, flow, comm)
+from scaleup.run.blending import mix
+from scaleup.flow.source import obtain_flow
+case = compose(None, sys.argv[1:], {"flow": {"name": "surface-layer"}})
+flow = obtain_flow(case, comm).flow
+mix(case.changed(operation={"revolutions": 0.3}), flow, comm)
+blend = mix(case, flow, comm)
 if comm.rank == 0:
     print(blend.seconds, 1e9 * blend.seconds / blend.ledger.cell_updates)
 """
 
 BALL = """
 import sys
-from scaleup import parallel, registry
+from scaleup.system import parallel, registry
 comm = parallel.start()
 from scaleup.verification import problems, run
 plugin = registry.load("mixing", sys.argv[1])

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from typing import Any
 
-from scaleup.launch import launch_environment
+from scaleup.system.launch import launch_environment
 
 
 def on_ranks(script: str, asked: float | str, ranks: int, **environment: str) -> dict[str, Any]:

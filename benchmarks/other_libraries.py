@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from scaleup import registry
+from scaleup.system import registry
 from scaleup.verification import problems, run
 
 CENTRE, SIGMA = (0.5, 0.75), 0.05  # of the verification problem `gaussian`

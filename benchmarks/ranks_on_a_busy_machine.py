@@ -30,23 +30,23 @@ ROUNDS = 3
 
 def measure(backend: str) -> None:
     """Print the seconds of the mixing alone, after a first step or two that compile it."""
-    from scaleup import parallel
-    from scaleup.config import compose
+    from scaleup.case.composing import compose
+    from scaleup.system import parallel
 
     comm = parallel.start()
-    from scaleup.blending import mix
-    from scaleup.flow_source import obtain_flow
+    from scaleup.flow.source import obtain_flow
+    from scaleup.run.blending import mix
 
     settings = [f"mixing.name={backend}", f"grid.cells={CELLS}", "output.metrics_every=1"]
 
-    def config(revolutions: float):  # type: ignore[no-untyped-def]
+    def case(revolutions: float):  # type: ignore[no-untyped-def]
         chosen = [*settings, f"operation.revolutions={revolutions}"]
         return compose(None, chosen, {"flow": {"name": "surface-layer"}})
 
-    flow = obtain_flow(config(1.0), comm).flow
+    flow = obtain_flow(case(1.0), comm).flow
     start_up = flow.lift / 6.28
-    mix(config(start_up + 0.01), flow, comm)
-    blend = mix(config(start_up + REVOLUTIONS[backend]), flow, comm)
+    mix(case(start_up + 0.01), flow, comm)
+    blend = mix(case(start_up + REVOLUTIONS[backend]), flow, comm)
     if comm.rank == 0:
         print(json.dumps({"seconds": blend.seconds, "steps": blend.ledger.steps}))
 

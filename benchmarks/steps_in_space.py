@@ -34,9 +34,9 @@ SLOW_RPM, SLOW_STEPS = 6.0, 20.0  # of the revolution extrapolated to; steps in 
 
 def measure(size: float) -> dict[str, Any] | None:
     """On the ranks that call it; ``size`` in mm.  None but on the root."""
-    from scaleup import parallel
-    from scaleup.api import GRAVITY
-    from scaleup.config import compose, fill_volume
+    from scaleup.case.composing import compose
+    from scaleup.contract import GRAVITY
+    from scaleup.system import parallel
     from scaleup_mohr_coulomb.block_solver import BlockSolver
     from scaleup_mohr_coulomb.momentum import Momentum
     from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
@@ -47,16 +47,16 @@ def measure(size: float) -> dict[str, Any] | None:
     from scaleup_mohr_coulomb.viscosity import Viscosity
 
     comm = parallel.start()
-    config = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
-    geometry, volume = config.plugin("geometry"), fill_volume(config)
+    case = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
+    geometry, volume = case.geometry, case.fill_volume
     speed = RPM * math.pi / 30.0
     numerics = Discretisation.by_rule(
-        config.material, Drive(1.0, speed), geometry.reach, 1e-3 * size, 1e-3 * size, STEP
+        case.material, Drive(1.0, speed), geometry.reach, 1e-3 * size, 1e-3 * size, STEP
     ).in_space()
     flow = VesselFlow(
         geometry,
         vessel_mesh(geometry.solid, numerics.fine_size, comm, True),
-        config.material,
+        case.material,
         Rheology(),
         numerics,
         speed,

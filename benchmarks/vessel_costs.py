@@ -38,11 +38,11 @@ PARTS = {"flow": "flow, once", "built": "mixing, first time round", "kept": "mix
 
 def measure(cells: int) -> dict[str, Any] | None:
     """On the ranks that call it: seconds, peak memory of all ranks in bytes. None but on root."""
-    from scaleup import parallel
-    from scaleup.blending import mix
-    from scaleup.config import compose
-    from scaleup.costs import peak_memory
-    from scaleup.flow_source import obtain_flow
+    from scaleup.case.composing import compose
+    from scaleup.flow.source import obtain_flow
+    from scaleup.run.blending import mix
+    from scaleup.run.costs import peak_memory
+    from scaleup.system import parallel
 
     comm = parallel.start()
     big = cells > BIG
@@ -50,11 +50,11 @@ def measure(cells: int) -> dict[str, Any] | None:
     asked = [f"grid.cells={cells}", f"operation.revolutions={revolutions}"]
     asked += [f"output.metrics_every={every}", "flow.intervals=120"]
     asked += [f"mixing.memory={BIG_MEMORY}"] if big else []
-    config = compose(None, ["geometry.name=v-blender", *asked])
+    case = compose(None, ["geometry.name=v-blender", *asked])
     began = time.monotonic()
-    flow = obtain_flow(config, comm).flow
+    flow = obtain_flow(case, comm).flow
     flow_seconds = time.monotonic() - began
-    blend = mix(config, flow, comm)
+    blend = mix(case, flow, comm)
     memory = comm.reduce(peak_memory())
     if comm.rank:
         return None

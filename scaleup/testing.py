@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from scaleup.cut_cells import cut_fraction
-from scaleup.errors import ContractError, InputError
-from scaleup.flow_check import check_flow as check_flow
-from scaleup.grid import FloatArray, Grid, grid_over
-from scaleup.mixing_check import CheckedMixing
-from scaleup.vessel_shape import axis_meets, symmetry
+from scaleup.case.vessel_shape import axis_meets, symmetry
+from scaleup.flow.check import check_flow as check_flow
+from scaleup.mixing.check import CheckedMixing
+from scaleup.space.cut_cells import cut_fraction
+from scaleup.space.grid import FloatArray, Grid, grid_over
+from scaleup.system.errors import ContractError, InputError
 
 _ROUND_OFF = 1e-12
 _CENTRE = 3e-3  # of the reach: how far apart the centres of one body may be

@@ -7,7 +7,7 @@ import ngsolve as ngs
 import numpy as np
 from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 
-from scaleup.scene import Material
+from scaleup.scene.models import Material
 from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.momentum import Momentum
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology

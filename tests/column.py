@@ -21,7 +21,7 @@ import ngsolve as ngs
 import numpy as np
 from netgen.occ import OCCGeometry, Rectangle, X
 
-from scaleup.scene import Material
+from scaleup.scene.models import Material
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive
 from scaleup_mohr_coulomb.two_phase import TwoPhaseFlow
 

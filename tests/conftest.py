@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from scaleup.cli import main
-from scaleup.crew import ALL_RANKS
-from scaleup.launch import launch_environment
+from scaleup.command.cli import main
+from scaleup.system.crew import ALL_RANKS
+from scaleup.system.launch import launch_environment
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

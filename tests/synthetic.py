@@ -6,15 +6,8 @@ import math
 
 import numpy as np
 
-from scaleup.api import (
-    Axis,
-    FlowField,
-    Grid,
-    Interval,
-    fill_to_volume,
-    grid_over,
-    interval_from_dense,
-)
+from scaleup.contract import Axis, FlowField, Grid, Interval
+from scaleup.numerics import fill_to_volume, grid_over, interval_from_dense
 
 
 def sloshing(intervals: int = 8, columns: int = 16, rows: int = 6, prefix: int = 0) -> FlowField:

@@ -176,7 +176,7 @@ def test_every_command_is_documented():
 
     import click
 
-    from scaleup.cli import cli
+    from scaleup.command.cli import cli
 
     def walk(group, prefix):
         for name, command in group.commands.items():

@@ -12,11 +12,11 @@ from PIL import Image
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
 
-from scaleup import results as results_module
-from scaleup.api import Axis, Grid
-from scaleup.bed_view import Picture, colour_map, cut, see, wall_of
-from scaleup.results import Results, instants
-from scaleup.sample_flows import rocking_box
+from scaleup.contract import Axis, Grid
+from scaleup.flow.sample_flows import rocking_box
+from scaleup.report import results as results_module
+from scaleup.report.bed_view import Picture, colour_map, cut, see, wall_of
+from scaleup.report.results import Results, instants
 from vessels import TiltedBox
 
 QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=2 mm", "--revolutions", "0.5")

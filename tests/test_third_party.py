@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from scaleup.skeleton import skeleton_files
+from scaleup.command.skeleton import skeleton_files
 
 HERE = Path(__file__).parent
 EXAMPLE = HERE.parent / "docs" / "example_plugin"

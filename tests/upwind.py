@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import splu
 
-from scaleup.api import FloatArray, Interval, Ledger, MixingScene, PluginOptions
+from scaleup.contract import FloatArray, Interval, Ledger, MixingScene, PluginOptions
 
 
 class Upwind:

@@ -3,8 +3,8 @@
 import dataclasses
 import math
 
-from scaleup.config import compose, fill_volume
-from scaleup.scene import GRAVITY
+from scaleup.case.composing import compose
+from scaleup.scene.models import GRAVITY
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
 from scaleup_mohr_coulomb.space_mesh import vessel_mesh
 from scaleup_mohr_coulomb.vessel_flow import VesselFlow
@@ -14,15 +14,15 @@ NOMINAL_SPEED = 2.0
 
 def drum_flow(comm, size=0.02, tilt=20.0, speed=NOMINAL_SPEED, mirrored=False, **changes):
     """A flow in a drum of 140 mm by 50 mm that begins with the level bed tilted (deg)."""
-    config = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
-    geometry, volume = config.plugin("geometry"), fill_volume(config)
+    case = compose(None, ["geometry.length='5 cm'"], {"geometry": {"name": "drum"}})
+    geometry, volume = case.geometry, case.fill_volume
     drive = Drive(1.0, NOMINAL_SPEED)
-    numerics = Discretisation.by_rule(config.material, drive, geometry.reach, size, size, 0.01)
+    numerics = Discretisation.by_rule(case.material, drive, geometry.reach, size, size, 0.01)
     numerics = numerics.in_space()
     return VesselFlow(
         geometry,
         vessel_mesh(geometry.solid, size, comm, mirrored),
-        config.material,
+        case.material,
         Rheology(),
         dataclasses.replace(numerics, **changes),
         speed,

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from scaleup.api import Axis, cut_fraction, grid_over
+from scaleup.contract import Axis
+from scaleup.numerics import cut_fraction, grid_over
 from scaleup_drum import Drum
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from scaleup import registry
-from scaleup.config import PLUGIN_SECTIONS, RunConfig
+from scaleup.case.config import PLUGIN_SECTIONS, RunConfig
+from scaleup.system import registry
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "configuration.md"
 HEAD = """# Configuration

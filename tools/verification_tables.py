@@ -23,9 +23,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import NullFormatter, NullLocator
 
-from scaleup import registry
-from scaleup.errors import InputError, RunError
-from scaleup.flow_field import FlowField
+from scaleup.space.flow_field import FlowField
+from scaleup.system import registry
+from scaleup.system.errors import InputError, RunError
 from scaleup.verification import Problem, Result, fitted_order, problems, run
 from scaleup.verification.random_walk import random_walks
 from scaleup.verification.study import PARTS

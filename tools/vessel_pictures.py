@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from netgen.meshing import MeshingStep
 from netgen.occ import OCCGeometry
 
-from scaleup import registry
+from scaleup.system import registry
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "vessels.png"
 VESSELS: list[tuple[str, str, dict[str, Any]]] = [

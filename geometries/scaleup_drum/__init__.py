@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from scaleup.api import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
 
 _SIZES = {"lab": (0.14, 0.2), "pilot": (0.572, 0.851), "plant": (1.5, 2.25)}
 """m, diameter and length: the drum of Liu, Gonzalez & Wassgren 2018 (the length is ours), the

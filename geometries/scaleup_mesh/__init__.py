@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, FilePath, field_serializer
 
-from scaleup.api import GRAVITY, Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import GRAVITY, Axis, FloatArray, InputError, PluginOptions, units
 
 if TYPE_CHECKING:
     from scaleup_mesh.sound import Sound

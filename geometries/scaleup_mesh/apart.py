@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
 
 _PROGRAM = Path(__file__).with_name("outside.py")
 _SECONDS = 3600.0  # after which it is taken to wait for ever

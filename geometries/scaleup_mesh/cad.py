@@ -11,7 +11,7 @@ import numpy as np
 from netgen.occ import Axis, Dir, OCCGeometry, Pnt, Vec
 from scipy.spatial.transform import Rotation
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 
 _MM = 1e-3
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from scaleup.api import FloatArray, InputError, IntArray
+from scaleup.contract import FloatArray, InputError, IntArray
 from scaleup_mesh.apart import UselessFileError, outside_of
 
 _BY_TRIMESH = (".obj", ".off", ".ply")

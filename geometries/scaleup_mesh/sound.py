@@ -21,7 +21,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from scaleup.api import FloatArray, InputError, IntArray
+from scaleup.contract import FloatArray, InputError, IntArray
 from scaleup_mesh.thickness import is_wall, mean_thickness
 
 _MOST = 2_000_000  # triangles

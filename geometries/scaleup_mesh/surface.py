@@ -15,7 +15,8 @@ import igl
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from scaleup.api import ClosedSurface, FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
+from scaleup.numerics import ClosedSurface
 
 _LATTICE = 48  # edges H along the longest side of the box
 _MANY = 200_000  # points from which the lattice pays

@@ -14,7 +14,7 @@ import numpy as np
 from igl.embree import EmbreeIntersector
 from scipy.spatial import ConvexHull, QhullError
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
 
 _SHARE, _SLIM = 0.5, 0.3  # of the hull's volume and mean thickness, below which it is a wall
 _PARALLEL = math.cos(math.radians(15.0))  # faces of a plate; a wedge has no thickness

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from scaleup.api import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
 from scaleup_tote.bin_shape import SIZES, Baffle, Size, held_bin
 
 _LAB_SPEED = 5.0  # rpm

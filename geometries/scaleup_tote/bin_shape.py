@@ -22,7 +22,8 @@ import igl
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from scaleup.api import ClosedSurface, FloatArray, InputError, IntArray
+from scaleup.contract import FloatArray, InputError, IntArray
+from scaleup.numerics import ClosedSurface
 
 _BALL_POINTS = 4000
 _MM = 1e-3  # m

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 from scipy.interpolate import PchipInterpolator
 
-from scaleup.api import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
 
 _LAB_SPEED = 4.0  # rpm
 _PANELS = 1000  # of the height, for volumes

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 
 DIFFUSION_FACTOR = 1.07
 

@@ -17,15 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scaleup.api import (
-    ConservativeBed,
-    ExplicitTransport,
-    FloatArray,
-    FluxCorrection,
-    Interval,
-    Ledger,
-    MixingScene,
-)
+from scaleup.contract import FloatArray, Interval, Ledger, MixingScene
+from scaleup.numerics import ConservativeBed, ExplicitTransport, FluxCorrection
 from scaleup_finite_volume.fluxes import find_faces, high_order
 from scaleup_finite_volume.stability import DIFFUSION_FACTOR
 

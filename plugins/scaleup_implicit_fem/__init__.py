@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field, field_validator
 
-from scaleup.api import ExplicitBackend, FloatArray, MixingScene, PluginOptions, units
+from scaleup.contract import FloatArray, MixingScene, PluginOptions, units
+from scaleup.numerics import ExplicitBackend
 
 if TYPE_CHECKING:
     from scaleup_implicit_fem.transport import Transport

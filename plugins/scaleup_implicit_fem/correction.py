@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 from scaleup_implicit_fem import kernels
 from scaleup_implicit_fem.operators import EMPTY
 from scaleup_implicit_fem.unknowns import Unknowns

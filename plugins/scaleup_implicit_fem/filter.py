@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 from scaleup_implicit_fem import kernels
 from scaleup_implicit_fem.operators import rows_of, times
 from scaleup_implicit_fem.unknowns import Unknowns

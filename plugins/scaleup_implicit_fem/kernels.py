@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
 
 LITTLE = 1e-14  # a flux that needs no content
 NEGLIGIBLE = 1e-13  # a flux not worth moving

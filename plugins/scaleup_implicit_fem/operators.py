@@ -42,7 +42,7 @@ from itertools import combinations
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 
-from scaleup.api import BoolArray, FloatArray, Grid, IntArray, Interval
+from scaleup.contract import BoolArray, FloatArray, Grid, IntArray, Interval
 
 EMPTY = 1e-14  # fill fraction at which a cell counts as empty
 _AXIS_MASS = {2: 1 / 18, 3: 1 / 72}

@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 from scipy.sparse import csr_matrix, diags
 
-from scaleup.api import FloatArray, InputError, RunError
+from scaleup.contract import FloatArray, InputError, RunError
 from scaleup_implicit_fem import petsc_pairs
 from scaleup_implicit_fem.unknowns import Unknowns
 

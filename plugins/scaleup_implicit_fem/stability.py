@@ -18,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 from scaleup_implicit_fem.time_scheme import STAGES, WEIGHTS
 
 

@@ -21,14 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from scaleup.api import (
-    ConservativeBed,
-    ExplicitTransport,
-    FloatArray,
-    Interval,
-    Ledger,
-    MixingScene,
-)
+from scaleup.contract import FloatArray, Interval, Ledger, MixingScene
+from scaleup.numerics import ConservativeBed, ExplicitTransport
 from scaleup_implicit_fem import kernels
 from scaleup_implicit_fem.correction import Correction
 from scaleup_implicit_fem.filter import Filter

@@ -1,9 +1,9 @@
 """The unknowns of an interval of the flow, numbered and shared out among the ranks.
 
 Every full cell that moves is one; so is every group of merged cells, since cells that hold little
-share one concentration (`scaleup/merged_cells.py`). Numbers follow the ranks; an unknown belongs to
-the rank that owns its (first) cell. Local arrays hold a rank's own unknowns, then its ghosts: those
-of other ranks that are coupled to its own, or have cells on it.
+share one concentration (`scaleup/space/merged_cells.py`). Numbers follow the ranks; an unknown
+belongs to the rank that owns its (first) cell. Local arrays hold a rank's own unknowns, then its
+ghosts: those of other ranks that are coupled to its own, or have cells on it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from scaleup.api import ConservativeBed, FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
+from scaleup.numerics import ConservativeBed
 from scaleup_implicit_fem.operators import Pairs, find_pairs
 
 

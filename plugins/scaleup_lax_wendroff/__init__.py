@@ -6,16 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from scaleup.api import (
-    ExplicitBackend,
-    ExplicitTransport,
-    FloatArray,
-    Geometry,
-    InputError,
-    MixingScene,
-    PluginOptions,
-    units,
-)
+from scaleup.contract import FloatArray, Geometry, InputError, MixingScene, PluginOptions, units
+from scaleup.numerics import ExplicitBackend, ExplicitTransport
 
 
 class LaxWendroff(ExplicitBackend):

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.api import (
-    BoolArray,
-    ConservativeBed,
-    FloatArray,
-    InputError,
-    IntArray,
-    Interval,
-    MixingScene,
-)
+from scaleup.contract import BoolArray, FloatArray, InputError, IntArray, Interval, MixingScene
+from scaleup.numerics import ConservativeBed
 from scaleup_lax_wendroff import corrected_form, paper_form
 from scaleup_lax_wendroff.stability import largest_step
 from scaleup_lax_wendroff.stencil import neighbours

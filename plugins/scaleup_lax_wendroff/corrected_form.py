@@ -27,7 +27,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from scaleup.api import ConservativeBed, FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
+from scaleup.numerics import ConservativeBed
 from scaleup_lax_wendroff.stencil import Offset, neighbours
 
 

@@ -19,7 +19,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import BoolArray, ConservativeBed, FloatArray, Grid, IntArray
+from scaleup.contract import BoolArray, FloatArray, Grid, IntArray
+from scaleup.numerics import ConservativeBed
 from scaleup_lax_wendroff.stencil import neighbours
 
 _PAD = 1  # cells beyond the grid's edge that neighbours may be looked for in

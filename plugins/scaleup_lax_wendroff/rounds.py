@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from scaleup.api import BRIDGE, BoolArray, GroupsHere, IntArray, RunError, runs_of
+from scaleup.contract import BoolArray, IntArray, RunError
+from scaleup.numerics import BRIDGE, GroupsHere, runs_of
 from scaleup_lax_wendroff.beds import Bed, PaperBed
 
 _ENDLESS = 10**6  # steps of a rank that has no ghosts

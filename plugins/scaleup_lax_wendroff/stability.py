@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 
 
 def stability_number(nu: FloatArray, mu: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from itertools import product
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, IntArray
+from scaleup.contract import BoolArray, FloatArray, IntArray
 
 Offset = tuple[int, ...]  # in cells along x, y (, z)
 _EMPTY = 1e-14  # fill fraction at which a group counts as empty

@@ -11,15 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scaleup.api import (
-    ExplicitTransport,
-    FloatArray,
-    FluxCorrection,
-    Interval,
-    Ledger,
-    MixingScene,
-    RunError,
-)
+from scaleup.contract import FloatArray, Interval, Ledger, MixingScene, RunError
+from scaleup.numerics import ExplicitTransport, FluxCorrection
 from scaleup_lax_wendroff import corrected_form, stencil
 from scaleup_lax_wendroff.beds import Bed, PaperBed
 from scaleup_lax_wendroff.rounds import Round, plan_rounds

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from scaleup.api import (
+from scaleup.contract import (
     GRAVITY,
     FlowField,
     Geometry,
@@ -17,11 +17,9 @@ from scaleup.api import (
     PluginOptions,
     Progress,
     Scene,
-    on_root_alone,
-    require_drum,
-    require_rolling,
     units,
 )
+from scaleup.numerics import on_root_alone, require_drum, require_rolling
 
 _COARSEST, _FINEST = 3.0, {2: 500.0, 3: 60.0}  # elements in a vessel's reach
 _MOST_STEPS = 2000.0  # in the time of free fall over the reach

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 
-from scaleup.api import Geometry, Material, froude_number, lifted_lean
+from scaleup.contract import Geometry, Material
+from scaleup.numerics import froude_number, lifted_lean
 
 _CHANGES = 7e-3  # Froude number, the geometric mean of 0.003 and 0.018
 _CASCADES = {2: 0.03, 3: 0.05}  # Froude number beyond which grains begin to leave the surface
@@ -18,7 +19,7 @@ _CASCADES = {2: 0.03, 3: 0.05}  # Froude number beyond which grains begin to lea
 def cautions_of(
     rheology: str, geometry: Geometry, material: Material, speed: float, fill_volume: float
 ) -> tuple[str, ...]:
-    """See `scaleup.api.Flow.cautions`."""
+    """See `scaleup.contract.Flow.cautions`."""
     found = []
     froude, cascades = froude_number(geometry, speed), _CASCADES[geometry.dimension]
     if froude > cascades:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from scaleup.api import FloatArray, Grid, RunError, SymmetricSolver
+from scaleup.contract import FloatArray, Grid, RunError
+from scaleup.numerics import SymmetricSolver
 
 _PASSES = 3
 _EXACT = 1e-15  # of a cell's volume: what is missing beyond it is worth another pass

@@ -7,7 +7,7 @@ from typing import Any
 
 from netgen.occ import OCCGeometry
 
-from scaleup.api import InputError
+from scaleup.contract import InputError
 
 
 def occ_geometry(shape: Callable[[], Any], **settings: Any) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
-from scaleup.api import RunError
+from scaleup.contract import RunError
 
 from .mesh import farthest_wall, surface_normal, wall_distance
 from .swings import FIT_REACH

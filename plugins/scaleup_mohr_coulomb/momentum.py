@@ -27,7 +27,7 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import Material
+from scaleup.contract import Material
 
 from .block_solver import BlockSolver
 from .element_shapes import ElementShapes, element_dofs

@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING, Any
 import ngsolve as ngs
 import numpy as np
 
-from scaleup.api import (
-    FloatArray,
-    FlowField,
-    Geometry,
-    Grid,
-    RunError,
-    Scene,
-    fill_to_volume,
-    fit_stream_function,
-    flow_from_stream_function,
-)
+from scaleup.contract import FloatArray, FlowField, Geometry, Grid, RunError, Scene
+from scaleup.numerics import fill_to_volume, fit_stream_function, flow_from_stream_function
 from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.mid_bed import mid_bed, sample, surface_speed
 

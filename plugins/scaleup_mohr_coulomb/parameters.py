@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from scaleup.api import GRAVITY, Material
+from scaleup.contract import GRAVITY, Material
 
 # Of glass beads (Henann & Kamrin 2013).
 _NONLOCAL_AMPLITUDE = 0.48

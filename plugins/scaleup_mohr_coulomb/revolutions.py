@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from scaleup.api import RunError
+from scaleup.contract import RunError
 
 from .krylov import NotSolved
 from .two_phase import FlowDiverged
 
 if TYPE_CHECKING:
-    from scaleup.api import Progress
+    from scaleup.contract import Progress
 
     from .vessel_flow import VesselFlow
 

@@ -31,7 +31,7 @@ from typing import Any, Protocol
 import ngsolve as ngs
 from scipy.optimize import brentq
 
-from scaleup.api import Material
+from scaleup.contract import Material
 
 from .parameters import Rheology
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import ngsolve as ngs
 import numpy as np
 
-from scaleup.api import Memory, Progress, RunError, Scene
+from scaleup.contract import Memory, Progress, RunError, Scene
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions

@@ -9,7 +9,7 @@ import netgen.meshing
 import ngsolve as ngs
 from netgen.occ import Box, Pnt
 
-from scaleup.api import on_each, on_root
+from scaleup.numerics import on_each, on_root
 
 from .meshing import meshed, occ_geometry
 

@@ -14,16 +14,8 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import (
-    FloatArray,
-    FlowField,
-    Interval,
-    Progress,
-    Scene,
-    cut_fraction,
-    fill_to_volume,
-    interval_from_dense,
-)
+from scaleup.contract import FloatArray, FlowField, Interval, Progress, Scene
+from scaleup.numerics import cut_fraction, fill_to_volume, interval_from_dense
 from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
 from scaleup_mohr_coulomb.on_grid import kept_inside, wet_part
 

@@ -15,7 +15,7 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import Material
+from scaleup.contract import Material
 
 from .element_shapes import ElementShapes
 from .level_set import LevelSet, SignedDistance

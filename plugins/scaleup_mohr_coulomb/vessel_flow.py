@@ -18,7 +18,8 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import Geometry, Material, level_height
+from scaleup.contract import Geometry, Material
+from scaleup.numerics import level_height
 
 from .element_shapes import ElementShapes
 from .momentum import Momentum

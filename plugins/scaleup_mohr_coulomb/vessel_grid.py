@@ -9,14 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from scaleup.api import (
+from scaleup.contract import FloatArray, FlowField, Grid, Progress, Scene
+from scaleup.numerics import (
     CompactInterval,
     CompactIntervals,
-    FloatArray,
-    FlowField,
-    Grid,
-    Progress,
-    Scene,
     cut_fraction,
     cut_fraction_of_cells,
     fill_to_volume,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scaleup.api import Memory, on_root, on_root_alone
+from scaleup.contract import Memory
+from scaleup.numerics import on_root, on_root_alone
 
 from .revolutions import Turned
 

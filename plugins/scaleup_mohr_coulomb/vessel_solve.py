@@ -6,7 +6,8 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from scaleup.api import GRAVITY, FlowField, Memory, Progress, Scene, on_each
+from scaleup.contract import GRAVITY, FlowField, Memory, Progress, Scene
+from scaleup.numerics import on_each
 
 from .parameters import Discretisation, Drive, Rheology
 from .revolutions import level_bed, revolve

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from scaleup.api import FloatArray, Interval, Ledger, MixingScene, PluginOptions, units
+from scaleup.contract import FloatArray, Interval, Ledger, MixingScene, PluginOptions, units
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian.transport import Transport

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, Grid, IntArray
+from scaleup.contract import BoolArray, FloatArray, Grid, IntArray
 from scaleup_semi_lagrangian import images, paths, settlement, subcells
 from scaleup_semi_lagrangian.centring import Centring, centre, find_centring, off_middles
 from scaleup_semi_lagrangian.middles import ends_of_subcells

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
 from scaleup_semi_lagrangian import settlement
 from scaleup_semi_lagrangian.settlement import Settlement
 

@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, IntArray
+from scaleup.contract import BoolArray, FloatArray, IntArray
 
 _SHARE = 0.3  # of the limit of positivity that a step uses
 _LEAST = 1e-13  # fill fraction of a cell that takes part

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scaleup.api import FloatArray, IntArray
+from scaleup.contract import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, IntArray
+from scaleup.contract import BoolArray, FloatArray, IntArray
 
 SCALE = 65535.0  # places in a cell are kept as 16-bit shares of its edge
 _MOST_STRETCH = 20.0  # of a Jacobian that is believed

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, Grid, IntArray
+from scaleup.contract import BoolArray, FloatArray, Grid, IntArray
 from scaleup_semi_lagrangian.moving_cells import STILL, MovingCells
 from scaleup_semi_lagrangian.paths import follow
 

@@ -8,7 +8,8 @@ from functools import cached_property
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, Grid, IntArray, Interval, neighbours_below
+from scaleup.contract import BoolArray, FloatArray, Grid, IntArray, Interval
+from scaleup.numerics import neighbours_below
 
 _FULL = 1.0 - 1e-9
 STILL = -2

@@ -23,7 +23,7 @@ import math
 import numba
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, IntArray
+from scaleup.contract import BoolArray, FloatArray, IntArray
 
 _MOST = 100_000  # faces on a path
 _EMPTY = 1e-13  # fill fraction

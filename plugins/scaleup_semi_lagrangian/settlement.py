@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from scaleup.api import BoolArray, FloatArray, IntArray
+from scaleup.contract import BoolArray, FloatArray, IntArray
 
 _TOLERANCE = 1e-4  # of the residual, in the mean; the tree takes the rest
 _BLOCKS = 6000  # at most: one more solve of a sparse system of that size per iteration

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from scaleup.api import BoolArray, FloatArray, IntArray
+from scaleup.contract import BoolArray, FloatArray, IntArray
 
 NONE, LOWER, UPPER, THREE, FIVE = 0, 1, 2, 3, 4
 """which cells along an axis take part"""

@@ -18,14 +18,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from scaleup.api import (
-    FloatArray,
-    InputError,
-    Interval,
-    Ledger,
-    MixingScene,
-    spread_outwards,
-)
+from scaleup.contract import FloatArray, InputError, Interval, Ledger, MixingScene
+from scaleup.numerics import spread_outwards
 from scaleup_semi_lagrangian.carriage import Carriage, strides_of
 from scaleup_semi_lagrangian.exchange import Exchange, steps
 from scaleup_semi_lagrangian.fills import NO_CHANGES, Changes, fill_at, find_changes

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from scaleup.api import (
+from scaleup.contract import (
     FlowField,
     Geometry,
     InputError,
@@ -15,12 +15,9 @@ from scaleup.api import (
     PluginOptions,
     Progress,
     Scene,
-    is_circle,
-    on_root_alone,
-    require_drum,
-    require_rolling,
     units,
 )
+from scaleup.numerics import is_circle, on_root_alone, require_drum, require_rolling
 
 _CENTRIFUGES = 0.5  # Froude number from which a bed does not roll
 _COARSEST, _FINEST = 5.0, 500.0  # columns in a vessel's reach

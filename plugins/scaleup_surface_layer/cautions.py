@@ -2,22 +2,16 @@
 
 The model lets the bed turn with the vessel, below a thin layer whose slope is the friction angle.
 That takes a vessel that is neither too fast nor too slow (rolling, 1e-4 < Fr < 1e-2: Oba & Otsuki,
-arXiv 2407.19466), a wall that carries the bed, and a powder that flows (`scaleup.bed_support`).
+arXiv 2407.19466), a wall that carries the bed, and a powder that flows
+(`scaleup.flow.bed_support`).
 """
 
 from __future__ import annotations
 
 import math
 
-from scaleup.api import (
-    Geometry,
-    InputError,
-    Material,
-    bed_depth,
-    critical_height,
-    froude_number,
-    lifted_lean,
-)
+from scaleup.contract import Geometry, InputError, Material
+from scaleup.numerics import bed_depth, critical_height, froude_number, lifted_lean
 
 _ROLLING = (1e-4, 1e-2)  # Froude number
 _SLIDES, _ROLLS = 1.0, 1.1
@@ -30,7 +24,7 @@ _STICKY = 0.1  # critical height over the bed's depth, from which cohesion steep
 def cautions_of(
     geometry: Geometry, material: Material, speed: float, fill_volume: float
 ) -> tuple[str, ...]:
-    """See `scaleup.api.Flow.cautions`."""
+    """See `scaleup.contract.Flow.cautions`."""
     return (
         *_regime(froude_number(geometry, speed)),
         *_slip(geometry, material, fill_volume),

@@ -23,17 +23,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.integrate import trapezoid
 
-from scaleup.api import (
-    GRAVITY,
-    FloatArray,
-    FlowField,
-    Geometry,
-    Material,
-    Scene,
-    fill_to_volume,
-    flow_from_stream_function,
-    level_height,
-)
+from scaleup.contract import GRAVITY, FloatArray, FlowField, Geometry, Material, Scene
+from scaleup.numerics import fill_to_volume, flow_from_stream_function, level_height
 from scaleup_surface_layer.detectors import layer_figures, maxima
 
 if TYPE_CHECKING:

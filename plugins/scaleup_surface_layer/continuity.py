@@ -21,7 +21,8 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
 
-from scaleup.api import FloatArray, IntArray, RunError, SymmetricSolver
+from scaleup.contract import FloatArray, IntArray, RunError
+from scaleup.numerics import SymmetricSolver
 
 _SOLVED = 1e-8  # residual of the correction over what is to be corrected
 _QUANTUM = 2.0**-48  # over the greatest flux; sums up to 32 times that one are exact

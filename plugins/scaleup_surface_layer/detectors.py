@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scaleup.api import GRAVITY, FloatArray, RunError, Scene
+from scaleup.contract import GRAVITY, FloatArray, RunError, Scene
 
 if TYPE_CHECKING:  # the closed form does without their compiled loops
     from scaleup_surface_layer.lab_columns import BedStep

@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scaleup.api import (
+from scaleup.contract import FlowField, Progress, Scene
+from scaleup.numerics import (
     CompactInterval,
     CompactIntervals,
-    FlowField,
     MirroredParts,
-    Progress,
-    Scene,
     level_height,
     on_each,
     on_root,

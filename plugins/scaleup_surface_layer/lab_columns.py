@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 
 
 @dataclass(frozen=True)

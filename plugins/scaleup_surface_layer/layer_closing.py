@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scaleup.api import CompactInterval, FloatArray
+from scaleup.contract import FloatArray
+from scaleup.numerics import CompactInterval
 from scaleup_surface_layer.continuity import close_balance, find_segments
 from scaleup_surface_layer.lab_columns import BedStep
 from scaleup_surface_layer.layer_flux import add_layer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 from scaleup_surface_layer.lab_columns import Columns
 from scaleup_surface_layer.turned_vessel import ColumnShape
 

@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from scaleup.api import FloatArray
+from scaleup.contract import FloatArray
 from scaleup_surface_layer.lab_columns import Columns
 from scaleup_surface_layer.turned_vessel import ColumnShape
 

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from scaleup.api import FloatArray, Progress, on_each
+from scaleup.contract import FloatArray, Progress
+from scaleup.numerics import on_each
 from scaleup_surface_layer.lab_columns import Columns
 
 

@@ -20,15 +20,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from scaleup.api import (
-    BoolArray,
-    FloatArray,
-    Geometry,
-    Grid,
-    IntArray,
-    cut_fraction,
-    cut_fraction_of_cells,
-)
+from scaleup.contract import BoolArray, FloatArray, Geometry, Grid, IntArray
+from scaleup.numerics import cut_fraction, cut_fraction_of_cells
 from scaleup_surface_layer.lab_columns import BedStep, Columns, Layer, layer_of
 from scaleup_surface_layer.moving_cells import (
     component_volumes,

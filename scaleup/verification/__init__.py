@@ -6,7 +6,7 @@
     results = [run(problem, backend, n) for n in problem.sizes]
     fitted_order(results)
 
-`backend` is any instance of a `scaleup.api.Mixing`. Importing this package starts MPI.
+`backend` is any instance of a `scaleup.contract.Mixing`. Importing this package starts MPI.
 """
 
 from scaleup.verification.problem import Problem

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray
+from scaleup.space.flow_field import FlowField, Interval
+from scaleup.space.grid import FloatArray
 from scaleup.verification.drum_layer import (
     COARSE,
     REVOLUTION,

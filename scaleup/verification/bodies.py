@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from scaleup.grid import BoolArray, FloatArray
+from scaleup.space.grid import BoolArray, FloatArray
 from scaleup.verification.problem import Field
 
 

@@ -16,9 +16,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import roots_legendre
 
-from scaleup.cut_cells import cut_fraction
-from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
-from scaleup.grid import FloatArray, Grid
+from scaleup.space.cut_cells import cut_fraction
+from scaleup.space.flow_field import Axis, FlowField, Interval, interval_from_dense
+from scaleup.space.grid import FloatArray, Grid
 from scaleup.verification.problem import Field
 
 _ROUNDING = 1e-12  # of the unit box: corners this near to the wall lie on it

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.flow_field import FlowField
-from scaleup.grid import FloatArray
+from scaleup.space.flow_field import FlowField
+from scaleup.space.grid import FloatArray
 from scaleup.verification.bodies import gaussian, three_bodies
 from scaleup.verification.closed_flows import (
     ball,

@@ -24,8 +24,8 @@ import math
 
 import numpy as np
 
-from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray, Grid
+from scaleup.space.flow_field import FlowField, Interval
+from scaleup.space.grid import FloatArray, Grid
 from scaleup.verification.closed_flows import plane_flow
 
 RADIUS = 0.07  # m

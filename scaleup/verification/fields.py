@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 from scipy.special import roots_legendre
 
-from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray, Grid, IntArray
+from scaleup.space.flow_field import FlowField, Interval
+from scaleup.space.grid import FloatArray, Grid, IntArray
 from scaleup.verification.problem import (
     Field,
     Problem,

@@ -25,8 +25,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from scaleup.flow_field import Axis, FlowField, Interval, interval_from_dense
-from scaleup.grid import BoolArray, FloatArray, Grid
+from scaleup.space.flow_field import Axis, FlowField, Interval, interval_from_dense
+from scaleup.space.grid import BoolArray, FloatArray, Grid
 from scaleup.verification.closed_flows import unit_grid
 from scaleup.verification.fields import problem_of_field
 from scaleup.verification.problem import Field, Problem

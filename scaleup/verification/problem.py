@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray
+from scaleup.space.flow_field import FlowField, Interval
+from scaleup.space.grid import FloatArray
 
 Regime = Literal["smooth", "boundary", "sharp", "sampled"]
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numba
 import numpy as np
 
-from scaleup.grid import BoolArray, FloatArray
+from scaleup.space.grid import BoolArray, FloatArray
 from scaleup.verification.drum_layer import (
     COARSE,
     DISTANCE,

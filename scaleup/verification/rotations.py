@@ -12,8 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from scaleup.flow_field import FlowField
-from scaleup.grid import FloatArray
+from scaleup.space.flow_field import FlowField
+from scaleup.space.grid import FloatArray
 from scaleup.verification.bodies import (
     gaussian,
     slotted_disc,

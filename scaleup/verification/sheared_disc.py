@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BarycentricInterpolator, RectBivariateSpline
 from scipy.linalg import expm
 
-from scaleup.grid import FloatArray
+from scaleup.space.grid import FloatArray
 from scaleup.verification.problem import Field
 
 _TABLE = (400, 720)  # radii and angles of the table that points are read from, by quintic splines

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scaleup.flow_field import FlowField
+from scaleup.space.flow_field import FlowField
 from scaleup.verification.bodies import spread_gaussian
 from scaleup.verification.closed_flows import box, plane_flow, unit_grid
 from scaleup.verification.fields import problem_of_field

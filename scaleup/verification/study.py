@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from scaleup.api import Ledger, MixingScene
-from scaleup.decomposition import Decomposition
-from scaleup.flow_field import FlowField, Interval
-from scaleup.grid import FloatArray
-from scaleup.scene import Diffusion
+from scaleup.contract import Ledger, MixingScene
+from scaleup.scene.models import Diffusion
+from scaleup.space.decomposition import Decomposition
+from scaleup.space.flow_field import FlowField, Interval
+from scaleup.space.grid import FloatArray
 from scaleup.verification.problem import Problem
 
 State = tuple[Interval, float, FloatArray]

@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from netgen.occ import Box, Pnt
 
-from scaleup.api import InputError
+from scaleup.contract import InputError
 from scaleup_mesh import Mesh
 
 ODD = ("nan", "inf", "-1e300", "1e-300", "4000000000", "-1", "", "0", "\u00e4", "1,5", "9" * 400)

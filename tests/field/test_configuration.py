@@ -5,10 +5,10 @@ import math
 
 import pytest
 
-from scaleup.config import compose
-from scaleup.errors import InputError
-from scaleup.loading_file import read_loading
-from scaleup.units import to_si
+from scaleup.case.composing import compose
+from scaleup.scene.loading_file import read_loading
+from scaleup.scene.units import to_si
+from scaleup.system.errors import InputError
 
 FAST = {"flow": {"name": "surface-layer"}}
 SCENE = '[material]\nfriction_angle = "25 °"\n[operation]\nspeed = "5 RPM"\n'
@@ -32,9 +32,9 @@ def refusal(*assignments, flags=FAST):
 )
 def test_a_file_is_read_as_editors_save_it(tmp_path, content):
     (tmp_path / "run.toml").write_bytes(content)
-    config = compose(tmp_path / "run.toml", [], FAST)
-    assert config.material.friction_angle == pytest.approx(math.radians(25))
-    assert config.operation.speed == pytest.approx(math.pi / 6)
+    case = compose(tmp_path / "run.toml", [], FAST)
+    assert case.material.friction_angle == pytest.approx(math.radians(25))
+    assert case.operation.speed == pytest.approx(math.pi / 6)
 
 
 def test_a_file_that_is_no_text_says_how_to_save_it(tmp_path):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from scaleup.api import InputError
+from scaleup.contract import InputError
 from scaleup_mesh import Mesh
 
 PROGRAM = Path(__file__).with_name("fuzz_vessel_files.py")

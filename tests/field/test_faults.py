@@ -17,23 +17,18 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup import (
-    costs,
-    flow_source,
-    pipeline,
-    processes,
-    run_lock,
-    source_hash,
-    storage,
-)
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.errors import InputError, RunError
-from scaleup.flow_source import obtain_flow, stored_flow
-from scaleup.output_folder import check_output, real_folder, work_folder
-from scaleup.resumption import read_state
-from scaleup.stopping import StoppedError
-from scaleup.storage import Store
+from scaleup.case.composing import compose
+from scaleup.flow import source as flow_source
+from scaleup.flow import storage
+from scaleup.flow.source import obtain_flow, stored_flow
+from scaleup.flow.storage import Store
+from scaleup.run import costs, pipeline
+from scaleup.run.blending import mix
+from scaleup.run.output_folder import check_output, real_folder, work_folder
+from scaleup.run.resumption import read_state
+from scaleup.system import processes, run_lock, source_hash
+from scaleup.system.errors import InputError, RunError
+from scaleup.system.stopping import StoppedError
 from synthetic import sloshing
 
 SELF = MPI.COMM_SELF
@@ -231,14 +226,14 @@ class AskedAt:
 )
 def test_a_run_that_is_asked_to_end_goes_on_where_it_was(tmp_path, mixing):
     flow, scene = sloshing(prefix=2), [*SCENE, "operation.revolutions=0.2"]
-    config = compose(None, [*scene, "accuracy.scrutiny=20"], {"mixing": {"name": mixing}})
+    case = compose(None, [*scene, "accuracy.scrutiny=20"], {"mixing": {"name": mixing}})
     whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
-    one = mix(config, flow, SELF, checkpoint=whole)
+    one = mix(case, flow, SELF, checkpoint=whole)
     for count in (3, 5, 9):  # between points of the blend curve, and at one
         with pytest.raises(StoppedError, match="SIGTERM: ended after revolution") as caught:
-            mix(config, flow, SELF, checkpoint=part, stopping=AskedAt(count))
+            mix(case, flow, SELF, checkpoint=part, stopping=AskedAt(count))
         assert caught.value.exit_code == 75
-    other = mix(config, flow, SELF, checkpoint=part)
+    other = mix(case, flow, SELF, checkpoint=part)
     assert _close(one.intensity, other.intensity)
     assert _close(one.volumes, other.volumes)
     assert one.ledger.steps == other.ledger.steps
@@ -250,7 +245,7 @@ def test_a_run_that_is_asked_to_end_goes_on_where_it_was(tmp_path, mixing):
 
 ENDED = """
 import os, signal, sys, time
-from scaleup import stopping
+from scaleup.system import stopping
 stopping._PATIENCE = 0.3
 stop = stopping.Stopping()
 stop.at_once = sys.argv[1] == "at once"
@@ -479,8 +474,8 @@ import os, resource, signal, sys
 from pathlib import Path
 from mpi4py import MPI
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-from scaleup import storage
-from scaleup.cli import cli, main
+from scaleup.flow import storage
+from scaleup.command.cli import cli, main
 from synthetic import sloshing
 flow = sloshing(columns=80, rows=30)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), -1))
@@ -532,10 +527,10 @@ def test_a_finished_run_is_published_whatever_fails_afterwards(
 def test_an_error_estimate_that_fails_leaves_the_run(store, quick, tmp_path, monkeypatch):
     blend = pipeline.mix
 
-    def mix(config, flow, **how):
+    def mix(case, flow, **how):
         if how.get("results") is None:
             raise RunError("it broke")
-        return blend(config, flow, **how)
+        return blend(case, flow, **how)
 
     monkeypatch.setattr(pipeline, "mix", mix)
     folder = pipeline.run(configure(), tmp_path / "run", SELF)

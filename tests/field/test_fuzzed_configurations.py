@@ -11,10 +11,12 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from mpi4py import MPI
 
-from scaleup import pipeline, registry
-from scaleup.config import PLUGIN_SECTIONS, RunConfig, compose
-from scaleup.errors import InputError, ScaleupError
-from scaleup.units import quantity_of
+from scaleup.case.composing import compose
+from scaleup.case.config import PLUGIN_SECTIONS, RunConfig
+from scaleup.run import pipeline
+from scaleup.scene.units import quantity_of
+from scaleup.system import registry
+from scaleup.system.errors import InputError, ScaleupError
 
 GEOMETRIES, FLOWS, MIXINGS = (sorted(registry.available(kind)) for kind in PLUGIN_SECTIONS)
 SECTIONS = tuple(RunConfig.model_fields)
@@ -143,7 +145,7 @@ def outcome_is_sound(box, geometry, flow, mixing, changes, assignments):
     if geometry == "mesh":
         tables["geometry"] |= {"file": str(box), "unit": "m"}
     try:
-        config = compose(None, assignments, changed(tables, changes))
+        case = compose(None, assignments, changed(tables, changes))
     except InputError as error:
         said = str(error)
         assert 0 < len(said) <= 400
@@ -151,13 +153,13 @@ def outcome_is_sound(box, geometry, flow, mixing, changes, assignments):
         named = [*SECTIONS, "--set", *(path[0][:20] for path, _ in changes)]
         assert any(name in said for name in named), said
         return
-    written = config.to_toml()
+    written = case.config.to_toml()
     file = box.with_name("config.toml")
     file.write_text(written, encoding="utf-8")
     again = compose(file)
-    assert again.to_toml() == written
+    assert again.config.to_toml() == written
     assert [again.options(kind) for kind in PLUGIN_SECTIONS] == [
-        config.options(kind) for kind in PLUGIN_SECTIONS
+        case.options(kind) for kind in PLUGIN_SECTIONS
     ]
 
 
@@ -189,13 +191,13 @@ def run_ends_well(box, scene):
         tables["geometry"] |= {"file": str(box), "unit": "m"}
     kept = [(key, value) for key, value in changes if key[0] not in ("flow", "grid")]
     try:
-        config = compose(None, SMALL, changed(tables, kept))
+        case = compose(None, SMALL, changed(tables, kept))
     except InputError:
         assume(False)
     folder = box.with_name("run")
     shutil.rmtree(folder, ignore_errors=True)
     try:
-        pipeline.run(config, folder, MPI.COMM_SELF, overwrite=True)
+        pipeline.run(case, folder, MPI.COMM_SELF, overwrite=True)
     except ScaleupError as error:
         said = str(error)
         assert 0 < len(said) <= 400

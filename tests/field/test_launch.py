@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from scaleup import launch
-from scaleup.errors import InputError
+from scaleup.system import launch
+from scaleup.system.errors import InputError
 
 TOLD = [name for pair in launch._TOLD for name in pair]
 
@@ -100,8 +100,8 @@ def test_more_ranks_than_the_cores_can_bear_are_refused(told, monkeypatch, tmp_p
 
 
 MPI_WITHOUT_LAUNCHER = """
-from scaleup import parallel
-from scaleup.errors import InputError
+from scaleup.system import parallel
+from scaleup.system.errors import InputError
 try:
     parallel.start()
 except InputError as error:
@@ -110,7 +110,7 @@ except InputError as error:
 
 WAITING = """
 import os
-from scaleup import parallel
+from scaleup.system import parallel
 comm = parallel.start()
 from petsc4py import PETSc
 assert comm.size == 2 and os.environ["OMPI_MCA_mpi_yield_when_idle"] == "1"

@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup import blame, cli, plugin_check, registry
-from scaleup.api import Ledger, MixingScene, PluginOptions
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.decomposition import Decomposition
-from scaleup.errors import ContractError, PluginError, ScaleupError, UnforeseenError
-from scaleup.flow_source import obtain_flow
-from scaleup.mixing_check import CheckedMixing
-from scaleup.parallel import on_each
-from scaleup.sample_flows import circulating_box
-from scaleup.scene import Diffusion
+from scaleup.case.composing import compose
+from scaleup.command import cli
+from scaleup.contract import Ledger, MixingScene, PluginOptions
+from scaleup.flow.sample_flows import circulating_box
+from scaleup.flow.source import obtain_flow
+from scaleup.mixing.check import CheckedMixing
+from scaleup.run import plugin_check
+from scaleup.run.blending import mix
+from scaleup.scene.models import Diffusion
+from scaleup.space.decomposition import Decomposition
+from scaleup.system import blame, registry
+from scaleup.system.errors import ContractError, PluginError, ScaleupError, UnforeseenError
+from scaleup.system.parallel import on_each
 
 
 class Still:
@@ -139,8 +141,8 @@ def config_with(kind, name):
 
 
 def blend(name):
-    config = config_with("mixing", name)
-    return mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
+    case = config_with("mixing", name)
+    return mix(case, obtain_flow(case, MPI.COMM_SELF).flow, MPI.COMM_SELF)
 
 
 @pytest.fixture(scope="module")
@@ -292,7 +294,7 @@ def test_a_traceback_is_shown_when_asked_for(monkeypatch, capsys, debug):
 
 
 PLUGIN = """
-from scaleup.api import PluginOptions
+from scaleup.contract import PluginOptions
 
 class Alone:
     class Options(PluginOptions):

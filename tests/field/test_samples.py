@@ -3,14 +3,14 @@
 import pytest
 from mpi4py import MPI
 
-from scaleup.blending import mix
-from scaleup.cautions import cautions
-from scaleup.config import compose
-from scaleup.flow_source import make_grid, obtain_flow
-from scaleup.metrics import sample_edge
-from scaleup.planner import plan
-from scaleup.report import _html as report_html
-from scaleup.report import compile_report
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.measure.metrics import sample_edge
+from scaleup.report.cautions import cautions
+from scaleup.report.compile import _html as report_html
+from scaleup.report.compile import compile_report
+from scaleup.run.blending import mix
+from scaleup.run.planner import plan
 
 FAST = {"flow": {"name": "surface-layer"}, "mixing": {"name": "finite-volume"}}
 
@@ -23,18 +23,18 @@ def reported(tmp_path_factory):
 
     def run(*assignments):
         asked = ["grid.spacing=2 mm", "operation.revolutions=0.1", *assignments]
-        config = compose(None, asked, FAST)
-        outcome = obtain_flow(config, MPI.COMM_SELF)
-        blend = mix(config, outcome.flow, MPI.COMM_SELF)
-        return config, compile_report(config, outcome, blend, "not asked for", 1)
+        case = compose(None, asked, FAST)
+        outcome = obtain_flow(case, MPI.COMM_SELF)
+        blend = mix(case, outcome.flow, MPI.COMM_SELF)
+        return case, compile_report(case, outcome, blend, "not asked for", 1)
 
     yield run
     patch.undo()
 
 
 def test_a_sample_finer_than_the_cells_is_said_and_gets_no_blend_time(reported):
-    config, report = reported("material.grain_diameter=100 um", "accuracy.blended_rsd=0.999")
-    mixing, edge = report["mixing"], sample_edge(make_grid(config), 5e-4)
+    case, report = reported("material.grain_diameter=100 um", "accuracy.blended_rsd=0.999")
+    mixing, edge = report["mixing"], sample_edge(case.grid, 5e-4)
     samples = mixing["samples"]
     assert samples["asked_edge"] == pytest.approx(5e-4)
     assert samples["asked_mass"] == pytest.approx(5e-4**3 * 1500)
@@ -79,10 +79,10 @@ def test_a_sample_of_whole_cells_is_what_was_asked_for(reported):
     ],
 )
 def test_plan_warns_of_what_the_report_warns_of(assignments, sentence):
-    config = compose(None, assignments, FAST)
-    said = [how for what, how in plan(config, 1) if what == "warning"]
+    case = compose(None, assignments, FAST)
+    said = [how for what, how in plan(case, 1) if what == "warning"]
     assert any(sentence in each for each in said)
     if "Froude" not in sentence:
-        assert any(sentence in each for each in cautions(config, make_grid(config)))
+        assert any(sentence in each for each in cautions(case, case.grid))
     quiet = compose(None, [], FAST)
     assert not [how for what, how in plan(quiet, 1) if what == "warning"]

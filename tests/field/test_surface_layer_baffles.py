@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup import flow_source
-from scaleup.api import FlowField, Interval, RunError, cut_fraction, grid_over
-from scaleup.bed_lean import LeanOfBed, require_held
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.flow_check import check_shared_flow
+from scaleup.case.composing import compose
+from scaleup.contract import FlowField, Interval, RunError
+from scaleup.flow import source as flow_source
+from scaleup.flow.bed_lean import LeanOfBed, require_held
+from scaleup.flow.check import check_shared_flow
+from scaleup.numerics import cut_fraction, grid_over
+from scaleup.run.blending import mix
 from scaleup_drum import Drum
 
 BAFFLED = (
@@ -36,17 +37,17 @@ def store(tmp_path_factory):
 
 
 def solved(*settings, geometry="drum"):
-    config = compose(None, settings, {"geometry": {"name": geometry}})
-    return config, flow_source.obtain_flow(config, MPI.COMM_SELF).flow
+    case = compose(None, settings, {"geometry": {"name": geometry}})
+    return case, flow_source.obtain_flow(case, MPI.COMM_SELF).flow
 
 
 def test_a_baffled_bed_rolls_at_all_times_and_blends_about_as_without():
     intensity = []
     for baffles in (0, 3):
-        config, flow = solved(
+        case, flow = solved(
             *BAFFLED, f"geometry.baffles={baffles}", "geometry.baffle_height='20 mm'"
         )
-        intensity.append(mix(config, flow, MPI.COMM_SELF).intensity[-1])
+        intensity.append(mix(case, flow, MPI.COMM_SELF).intensity[-1])
         assert flow.summary["bed_lean_deg"][1] < 23.6 + 3
     assert flow.summary["volume_stuck"] < 2e-3
     assert 0.01 < flow.summary["volume_detoured"] < 0.15

@@ -5,10 +5,11 @@ import math
 import pytest
 from mpi4py import MPI
 
-from scaleup import flow_source
-from scaleup.api import ContractError, InputError, Material, critical_height, lifted_lean
-from scaleup.bed_support import wall_lever
-from scaleup.config import compose, flow_cautions
+from scaleup.case.composing import compose
+from scaleup.contract import ContractError, InputError, Material
+from scaleup.flow import source as flow_source
+from scaleup.flow.bed_support import wall_lever
+from scaleup.numerics import critical_height, lifted_lean
 from scaleup_drum import Drum
 from scaleup_surface_layer import SurfaceLayer
 
@@ -16,7 +17,7 @@ LAYER = ("flow.name=surface-layer", "grid.cells=300")
 
 
 def said(*settings, geometry="drum"):
-    return " ".join(flow_cautions(compose(None, settings, {"geometry": {"name": geometry}})))
+    return " ".join(compose(None, settings, {"geometry": {"name": geometry}}).flow_cautions)
 
 
 @pytest.mark.parametrize(
@@ -79,9 +80,9 @@ def test_mohr_coulomb_says_that_a_bed_slides_before_it_is_solved():
 
 def test_the_warnings_of_a_solved_flow_begin_with_the_cautions(tmp_path, monkeypatch):
     monkeypatch.setenv("SCALEUP_CACHE", str(tmp_path))
-    config = compose(None, [*LAYER, "operation.speed='20 rpm'"])
-    flow = flow_source.obtain_flow(config, MPI.COMM_SELF).flow
-    assert flow.warnings[0] == flow_cautions(config)[0]
+    case = compose(None, [*LAYER, "operation.speed='20 rpm'"])
+    flow = flow_source.obtain_flow(case, MPI.COMM_SELF).flow
+    assert flow.warnings[0] == case.flow_cautions[0]
 
 
 def test_cautions_that_are_no_sentences_break_the_contract(monkeypatch):

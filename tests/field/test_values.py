@@ -2,9 +2,9 @@
 
 import pytest
 
-from scaleup import feasibility
-from scaleup.config import compose
-from scaleup.errors import InputError
+from scaleup.case import feasibility
+from scaleup.case.composing import compose
+from scaleup.system.errors import InputError
 
 REGION = ("operation.loading.pattern=region", "operation.loading.centre=['0 mm', '{y} mm']",
           "operation.loading.radius={r} mm")  # fmt: skip

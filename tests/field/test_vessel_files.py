@@ -10,8 +10,9 @@ from mpi4py import MPI
 from netgen.meshing import MeshingStep
 from netgen.occ import Box, OCCGeometry, Pnt
 
-from scaleup.api import InputError, cut_fraction, grid_over
-from scaleup.config import compose
+from scaleup.case.composing import compose
+from scaleup.contract import InputError
+from scaleup.numerics import cut_fraction, grid_over
 from scaleup_mesh import Mesh
 from scaleup_mohr_coulomb.space_mesh import vessel_mesh
 from scaleup_tote import Tote

@@ -2,20 +2,20 @@
 
 import json
 
-from scaleup import crew
+from scaleup.system import crew
 
 COMES_AND_GOES = """
 import json
 import sys
 
-from scaleup import parallel
+from scaleup.system import parallel
 
 comm = parallel.start()
-from scaleup import crew
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.flow_source import obtain_flow
-from scaleup.stopping import StoppedError
+from scaleup.system import crew
+from scaleup.run.blending import mix
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.system.stopping import StoppedError
 
 WANTED = json.loads(sys.argv[1])  # ranks, at one look after the other; the last for ever
 crew._LOOK = crew._LEAST_STAY = 0.0
@@ -41,18 +41,18 @@ class Stopping:
 
 
 sizes = []
-config = compose(
+case = compose(
     None,
     ["grid.spacing='1.5 mm'", "operation.revolutions=0.15", "output.metrics_every=0.01"],
     {"flow": {"name": "surface-layer"}},
 )
-flow = obtain_flow(config, comm).flow
-blend = mix(config, flow, comm, crew=Scripted(comm))
+flow = obtain_flow(case, comm).flow
+blend = mix(case, flow, comm, crew=Scripted(comm))
 ends = 0
 if len(set(sizes)) > 1:
     sizes, looks, came = [], [], sizes
     try:
-        mix(config, flow, comm, crew=Scripted(comm), stopping=Stopping())
+        mix(case, flow, comm, crew=Scripted(comm), stopping=Stopping())
     except StoppedError as error:
         ends = error.exit_code
     sizes = came

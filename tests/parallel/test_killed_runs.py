@@ -12,27 +12,27 @@ import h5py
 import numpy as np
 import pytest
 
-from scaleup.launch import launch_environment
-from scaleup.output_folder import work_folder
+from scaleup.run.output_folder import work_folder
+from scaleup.system.launch import launch_environment
 
 PROGRAM = """
 import os
 import sys
 from pathlib import Path
 
-from scaleup import parallel
+from scaleup.system import parallel
 
 comm = parallel.start()
-from scaleup import pipeline
-from scaleup.config import compose
+from scaleup.run import pipeline
+from scaleup.case.composing import compose
 
 pipeline.write_report = lambda *arguments: None  # figures take longer than all else
 Path(f"{sys.argv[1]}.{comm.rank}.pid").write_text(str(os.getpid()))
 texts = ["grid.cells=1500", "operation.revolutions=0.55", "output.checkpoint_every=0"]
-config = compose(None, [*texts, *sys.argv[3:]],
+case = compose(None, [*texts, *sys.argv[3:]],
                  {"geometry": {"name": "drum"}, "flow": {"name": "surface-layer"}})
 try:
-    pipeline.run(config, Path(sys.argv[1]), comm, resume=sys.argv[2] == "resume")
+    pipeline.run(case, Path(sys.argv[1]), comm, resume=sys.argv[2] == "resume")
 except Exception as error:
     print(error)
     sys.exit(getattr(error, "exit_code", 1))

@@ -4,7 +4,7 @@ import pytest
 
 VESSEL = """
 import ngsolve as ngs
-from scaleup import parallel
+from scaleup.system import parallel
 comm = parallel.start()
 from vessel_in_space import drum_flow
 flow = drum_flow(comm, tilt=30.0)
@@ -30,7 +30,7 @@ def test_a_vessels_flow_is_the_same_on_one_two_and_three_ranks(on_ranks):
 SAMPLED = """
 import ngsolve as ngs
 import numpy as np
-from scaleup import parallel
+from scaleup.system import parallel
 comm = parallel.start()
 from scaleup_mohr_coulomb.vessel_grid import Sampler
 from vessel_in_space import drum_flow

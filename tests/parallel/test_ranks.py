@@ -10,8 +10,8 @@ GHOSTS = """
 import sys
 import numpy as np
 from mpi4py import MPI
-from scaleup.decomposition import Decomposition
-from scaleup.grid import Grid
+from scaleup.space.decomposition import Decomposition
+from scaleup.space.grid import Grid
 
 comm = MPI.COMM_WORLD
 grid = Grid((0.0, 0.0), (1.0, 1.0), (40, 30))
@@ -43,26 +43,26 @@ from pathlib import Path
 
 import dataclasses
 import numpy as np
-from scaleup import parallel
+from scaleup.system import parallel
 
 comm = parallel.start()
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.flow_source import obtain_flow
-from scaleup.results import Results
+from scaleup.run.blending import mix
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.report.results import Results
 from scaleup.verification import problems, run
 from scaleup.verification.problem import uniform_tensor
 from scaleup_semi_lagrangian import SemiLagrangian
 
 for name, options in json.loads(sys.argv[2]).items():
     settings = ["grid.spacing='1.5 mm'", "operation.revolutions=0.15", *options]
-    config = compose(None, settings, {"flow": {"name": "surface-layer"}})
-    flow = obtain_flow(config, comm).flow
+    case = compose(None, settings, {"flow": {"name": "surface-layer"}})
+    flow = obtain_flow(case, comm).flow
     folder = Path(sys.argv[1]) / name
     if comm.rank == 0:
         folder.mkdir()
     comm.Barrier()
-    blend = mix(config, flow, comm, results=Results.of(folder, flow))
+    blend = mix(case, flow, comm, results=Results.of(folder, flow))
 
 if comm.size < 3:  # in space, on a moving fill
     tensor = 1e-3 * np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.3], [0.0, 0.3, 1.0]])
@@ -80,13 +80,13 @@ from pathlib import Path
 
 import numpy as np
 
-from scaleup import parallel
+from scaleup.system import parallel
 
 comm = parallel.start()
-from scaleup.compact_intervals import CompactInterval, CompactIntervals
-from scaleup.errors import ContractError, RunError
-from scaleup.flow_check import check_flow, check_shared_flow
-from scaleup.storage import read_flow, write_flow
+from scaleup.space.compact_intervals import CompactInterval, CompactIntervals
+from scaleup.system.errors import ContractError, RunError
+from scaleup.flow.check import check_flow, check_shared_flow
+from scaleup.flow.storage import read_flow, write_flow
 from synthetic import sloshing
 
 whole = sloshing(prefix=2)
@@ -145,15 +145,15 @@ GENERAL = """
 import sys
 from pathlib import Path
 
-from scaleup import parallel
+from scaleup.system import parallel
 
 comm = parallel.start()
-from scaleup.config import compose
-from scaleup.flow_source import obtain_flow
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
 
-config = compose(None, ["flow.model=general", "flow.intervals=24", "grid.spacing='6 mm'"],
+case = compose(None, ["flow.model=general", "flow.intervals=24", "grid.spacing='6 mm'"],
                  {"geometry": {"name": "v-blender"}, "flow": {"name": "surface-layer"}})
-outcome = obtain_flow(config, comm)
+outcome = obtain_flow(case, comm)
 assert len(outcome.flow.intervals) - outcome.flow.prefix == 24
 assert 100 < len(outcome.flow.intervals[30].cells)
 """
@@ -235,7 +235,7 @@ def test_semi_lagrangian_agrees_on_ranks_in_space_on_a_moving_fill(blended):
 
 def test_an_error_on_one_rank_ends_all(on_ranks, tmp_path):
     program = (
-        "from scaleup import parallel\ncomm = parallel.start()\n"
+        "from scaleup.system import parallel\ncomm = parallel.start()\n"
         "if comm.rank == 1:\n    raise RuntimeError('rank one fails')\n"
         "comm.Barrier()\n"
     )
@@ -245,7 +245,8 @@ def test_an_error_on_one_rank_ends_all(on_ranks, tmp_path):
 
 def test_the_root_works_while_others_sleep_and_its_error_reaches_all(on_ranks):
     program = (
-        "import time\nfrom scaleup import parallel\nfrom scaleup.errors import RunError\n"
+        "import time\nfrom scaleup.system import parallel\n"
+        "from scaleup.system.errors import RunError\n"
         "comm = parallel.start()\n"
         "assert parallel.on_root(comm, lambda: comm.rank + 41) == 41\n"
         "def fail():\n    time.sleep(0.2)\n    raise RunError('no')\n"

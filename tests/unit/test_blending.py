@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.flow_source import obtain_flow
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.run.blending import mix
 
 BACKENDS = ("finite-volume", "lax-wendroff", "implicit-fem", "semi-lagrangian")
 
@@ -19,13 +19,13 @@ def blend(tmp_path_factory):
     patch.setenv("SCALEUP_CACHE", str(tmp_path_factory.mktemp("store")))
 
     def run(mixing, *assignments, **options):
-        config = compose(
+        case = compose(
             None,
             ["grid.cells=1500", "operation.revolutions=0.4", *assignments],
             {"mixing": {"name": mixing}, "flow": {"name": "surface-layer"}},
         )
-        flow = obtain_flow(config, MPI.COMM_SELF).flow
-        return mix(config, flow, MPI.COMM_SELF, **options)
+        flow = obtain_flow(case, MPI.COMM_SELF).flow
+        return mix(case, flow, MPI.COMM_SELF, **options)
 
     yield run
     patch.undo()

@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from scaleup.config import compose, fill_in_all_kinds, fill_volume, grid_spacing
-from scaleup.errors import InputError
+from scaleup.case.composing import compose
+from scaleup.system.errors import InputError
 
 FAST = {"flow": {"name": "surface-layer"}}
 
@@ -16,36 +16,36 @@ def test_layers_compose_in_their_order(tmp_path):
         encoding="utf-8",
     )
     flags = {**FAST, "operation": {"revolutions": 2}}
-    config = compose(file, ["diffusion.k1=0.2", "operation.revolutions=4"], flags)
-    assert config.operation.speed == pytest.approx(12 * 2 * math.pi / 60)
-    assert config.operation.fill.mass == 0.05
-    assert config.operation.fill.depth_ratio is None  # one kind replaces the default kind
-    assert config.diffusion.k1 == 0.2
-    assert config.operation.revolutions == 2
-    assert config.geometry["name"] == "drum"  # the default
-    assert config.grid.spacing == pytest.approx(3e-4)  # the geometry's default scene
+    case = compose(file, ["diffusion.k1=0.2", "operation.revolutions=4"], flags)
+    assert case.operation.speed == pytest.approx(12 * 2 * math.pi / 60)
+    assert case.operation.fill.mass == 0.05
+    assert case.operation.fill.depth_ratio is None  # one kind replaces the default kind
+    assert case.diffusion.k1 == 0.2
+    assert case.operation.revolutions == 2
+    assert case.name("geometry") == "drum"  # the default
+    assert case.config.grid.spacing == pytest.approx(3e-4)  # the geometry's default scene
 
 
 def test_a_run_is_reproduced_by_its_own_file(tmp_path):
-    config = compose(
+    case = compose(
         None,
         ["operation.loading.pattern=region", "operation.loading.centre=['-20 mm', '-50 mm']",
          "operation.loading.radius=5 mm", "geometry.diameter=0.2", "mixing.courant=0.5"],
         FAST,
     )  # fmt: skip
     file = tmp_path / "config.toml"
-    file.write_text(config.to_toml(), encoding="utf-8")
+    file.write_text(case.config.to_toml(), encoding="utf-8")
     again = compose(file)
-    assert again.to_toml() == config.to_toml()
-    assert again.operation == config.operation
+    assert again.config.to_toml() == case.config.to_toml()
+    assert again.operation == case.operation
     assert again.options("geometry").diameter == 0.2
 
 
 def test_another_plugin_drops_the_options_of_the_first(tmp_path):
     file = tmp_path / "run.toml"
     file.write_text('[flow]\nname = "mohr-coulomb"\ntime_limit = 5\n', encoding="utf-8")
-    config = compose(file, ["flow.closure=parabolic"], FAST)
-    assert config.flow == {"name": "surface-layer", "closure": "parabolic"}
+    case = compose(file, ["flow.closure=parabolic"], FAST)
+    assert case.config.flow == {"name": "surface-layer", "closure": "parabolic"}
 
 
 def test_a_loading_given_by_name_merges_with_its_details(tmp_path):
@@ -63,17 +63,17 @@ def test_a_loading_given_by_name_merges_with_its_details(tmp_path):
 
 def test_fill_in_every_kind_is_the_same_bed():
     base = compose(None, [], FAST)
-    kinds = fill_in_all_kinds(base)
+    kinds = base.fill_in_all_kinds
     assert kinds["depth_ratio"] == pytest.approx(0.35, abs=1e-12)
     for kind, value in kinds.items():
-        config = compose(None, [f"operation.fill.{kind}={value!r}"], FAST)
-        assert fill_volume(config) == pytest.approx(fill_volume(base), rel=1e-9)
+        case = compose(None, [f"operation.fill.{kind}={value!r}"], FAST)
+        assert case.fill_volume == pytest.approx(base.fill_volume, rel=1e-9)
 
 
 def test_cells_choose_the_spacing():
-    config = compose(None, ["grid.cells=40000"], FAST)
-    area = fill_volume(config) / 0.01
-    assert area / grid_spacing(config) ** 2 == pytest.approx(40000)
+    case = compose(None, ["grid.cells=40000"], FAST)
+    area = case.fill_volume / 0.01
+    assert area / case.spacing**2 == pytest.approx(40000)
 
 
 @pytest.mark.parametrize(

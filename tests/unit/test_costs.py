@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from scaleup.costs import Cost, estimate, known, record
-from scaleup.storage import Store
+from scaleup.flow.storage import Store
+from scaleup.run.costs import Cost, estimate, known, record
 
 BASE = Cost("tote", "layer", "volumes", 3, 1000, 1, 2.0, 100, 8.0, 4.0, 1e9)
 WANTED = {"geometry": "tote", "flow": "layer", "mixing": "volumes", "dimension": 3}

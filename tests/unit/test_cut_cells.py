@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from scaleup.cut_cells import cut_fraction, fill_to_volume
-from scaleup.errors import InputError
-from scaleup.grid import Grid, grid_over
+from scaleup.space.cut_cells import cut_fraction, fill_to_volume
+from scaleup.space.grid import Grid, grid_over
+from scaleup.system.errors import InputError
 
 
 def ball(dimension: int, cells: int) -> tuple[Grid, np.ndarray]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.errors import ContractError
-from scaleup.storage import read_flow, write_flow
+from scaleup.flow.storage import read_flow, write_flow
+from scaleup.system.errors import ContractError
 from scaleup.testing import check_flow
 from synthetic import donor_cell, sloshing
 

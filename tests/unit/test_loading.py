@@ -7,12 +7,12 @@ import meshio
 import numpy as np
 import pytest
 
-from scaleup import registry
-from scaleup.config import compose
-from scaleup.errors import InputError
-from scaleup.loading import initial_concentration
-from scaleup.results import Results
-from scaleup.scene import Loading
+from scaleup.case.composing import compose
+from scaleup.mixing.loading import initial_concentration
+from scaleup.report.results import Results
+from scaleup.scene.models import Loading
+from scaleup.system import registry
+from scaleup.system.errors import InputError
 from synthetic import settled
 
 
@@ -129,9 +129,9 @@ def test_a_loading_that_cannot_be_is_one_sentence(tmp_path, assignments, sentenc
 def test_a_run_with_a_loading_file_is_reproduced_by_its_own_configuration(tmp_path):
     (tmp_path / "c.csv").write_text("x,y,a\n0,0,1\n0.01,0,0\n")
     texts = ["operation.loading.pattern=file", f"operation.loading.file={tmp_path / 'c.csv'}"]
-    config = compose(None, texts, {"flow": {"name": "surface-layer"}})
-    (tmp_path / "config.toml").write_text(config.to_toml())
-    assert compose(tmp_path / "config.toml").operation == config.operation
+    case = compose(None, texts, {"flow": {"name": "surface-layer"}})
+    (tmp_path / "config.toml").write_text(case.config.to_toml())
+    assert compose(tmp_path / "config.toml").operation == case.operation
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.create_group("snapshots")
     texts[1] = f"operation.loading.file={tmp_path / 'other.h5'}"

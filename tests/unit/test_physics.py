@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from scaleup.config import compose, fill_volume
-from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.errors import ContractError, InputError
-from scaleup.flow_field import Axis, FlowField, Interval
-from scaleup.grid import Grid
-from scaleup.loading import initial_concentration
-from scaleup.metrics import Sampler, blend_time, decay_rate
-from scaleup.scene import Diffusion, Loading, Material
+from scaleup.case.composing import compose
+from scaleup.measure.metrics import Sampler, blend_time, decay_rate
+from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.mixing.loading import initial_concentration
+from scaleup.scene.models import Diffusion, Loading, Material
+from scaleup.space.flow_field import Axis, FlowField, Interval
+from scaleup.space.grid import Grid
+from scaleup.system.errors import ContractError, InputError
 from scaleup.testing import check_geometry
 from synthetic import sloshing
 
@@ -142,8 +142,8 @@ def test_blend_time_is_the_last_crossing_and_decay_is_the_rate():
 
 
 def test_the_drum_is_what_it_says():
-    config = compose(None, [], {"flow": {"name": "surface-layer"}})
-    drum = config.plugin("geometry")
+    case = compose(None, [], {"flow": {"name": "surface-layer"}})
+    drum = case.geometry
     check_geometry(drum)
     true_distance = drum.signed_distance
     drum.signed_distance = lambda points: 7 * true_distance(points)
@@ -151,7 +151,7 @@ def test_the_drum_is_what_it_says():
         check_geometry(drum)
     assert drum.volume == pytest.approx(math.pi * 0.07**2 * 0.01)
     assert drum.volume_below(0.0) == pytest.approx(drum.volume / 2)
-    assert fill_volume(config) / drum.volume == pytest.approx(0.31192, abs=1e-5)
+    assert case.fill_volume / drum.volume == pytest.approx(0.31192, abs=1e-5)
 
 
 def test_friction_conventions():

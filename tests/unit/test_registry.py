@@ -4,8 +4,8 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from scaleup import registry
-from scaleup.errors import PluginError
+from scaleup.system import registry
+from scaleup.system.errors import PluginError
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def point(name, value):
 
 def test_names_are_listed_without_importing_any_plugin():
     program = (
-        "import sys; from scaleup.registry import available; "
+        "import sys; from scaleup.system.registry import available; "
         "names = [n for k in ('geometry', 'flow', 'mixing') for n in available(k)]; "
         "assert 'drum' in names and 'lax-wendroff' in names; "
         "print([m for m in sys.modules if m.startswith('scaleup_') or m in ('mpi4py', 'ngsolve')])"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scaleup.sample_flows import circulating_box, rocking_box
+from scaleup.flow.sample_flows import circulating_box, rocking_box
 from scaleup.testing import check_flow
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scaleup.api import spread_outwards
-from scaleup.grid import Grid
+from scaleup.numerics import spread_outwards
+from scaleup.space.grid import Grid
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

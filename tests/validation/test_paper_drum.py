@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.flow_source import obtain_flow
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.run.blending import mix
 
 pytestmark = pytest.mark.slow
 
@@ -42,8 +42,8 @@ def test_downflow_is_what_rigid_rotation_brings_up(outcomes):
 def test_blend_curve_is_converged(outcomes):
     curves = {}
     for spacing in ("0.45 mm", "0.3 mm"):
-        config = compose(None, [f"grid.spacing='{spacing}'"])
-        blend = mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
+        case = compose(None, [f"grid.spacing='{spacing}'"])
+        blend = mix(case, obtain_flow(case, MPI.COMM_SELF).flow, MPI.COMM_SELF)
         at = [blend.revolutions.index(r) for r in (0, 1, 2, 3)]
         curves[spacing] = np.array(blend.intensity)[at]
     assert curves["0.3 mm"][0] > 0.9

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.api import FlowField, Ledger, MixingScene
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.decomposition import Decomposition
-from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.flow_source import obtain_flow
-from scaleup.merged_cells import leaving_rate, merge, neighbours_below
-from scaleup.scene import Diffusion
+from scaleup.case.composing import compose
+from scaleup.contract import FlowField, Ledger, MixingScene
+from scaleup.flow.source import obtain_flow
+from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.run.blending import mix
+from scaleup.scene.models import Diffusion
+from scaleup.space.decomposition import Decomposition
+from scaleup.space.merged_cells import leaving_rate, merge, neighbours_below
 from scaleup.testing import check_mixing
 from scaleup.verification import fitted_order, problems, run
 from scaleup_finite_volume import FiniteVolume
@@ -129,8 +129,8 @@ def test_contract_with_several_components():
 
 def test_ten_revolutions_of_the_drum_keep_mass_and_bounds(store):
     asked = ["grid.spacing='2 mm'", "operation.revolutions=10", "mixing.name=finite-volume"]
-    config = compose(None, asked, {"flow": {"name": "surface-layer"}})
-    blend = mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
+    case = compose(None, asked, {"flow": {"name": "surface-layer"}})
+    blend = mix(case, obtain_flow(case, MPI.COMM_SELF).flow, MPI.COMM_SELF)
     assert blend.mass_drift <= ROUND_OFF
     assert blend.ledger.minimum >= -ROUND_OFF
     assert blend.ledger.maximum <= 1.0 + ROUND_OFF
@@ -138,8 +138,8 @@ def test_ten_revolutions_of_the_drum_keep_mass_and_bounds(store):
 
 def test_cut_cells_do_not_set_the_step(store):
     """The step is that of full cells, and after merging no group loses more than it holds."""
-    config = compose(None, ["grid.spacing='1 mm'"], {"flow": {"name": "surface-layer"}})
-    flow = obtain_flow(config, MPI.COMM_SELF).flow
+    case = compose(None, ["grid.spacing='1 mm'"], {"flow": {"name": "surface-layer"}})
+    flow = obtain_flow(case, MPI.COMM_SELF).flow
     interval, grid = flow.intervals[0], flow.grid
     solver = backend()
     n = len(interval.cells)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from scaleup import registry
-from scaleup.config import compose
-from scaleup.errors import ContractError, InputError
+from scaleup.case.composing import compose
+from scaleup.system import registry
+from scaleup.system.errors import ContractError, InputError
 from scaleup.testing import check_geometry
 
 THREE_D = [("drum", {"end_walls": True}), ("tote", {}), ("v-blender", {})]

@@ -9,9 +9,9 @@ from ngsolve.meshes import MakeStructured2DMesh
 
 from bagnold import SURFACE_SPEED, bagnold_error
 from column import collapse, lube_run_out
-from scaleup.config import compose
-from scaleup.errors import InputError
-from scaleup.scene import Material
+from scaleup.case.composing import compose
+from scaleup.scene.models import Material
+from scaleup.system.errors import InputError
 from scaleup_mohr_coulomb.parameters import Rheology
 from scaleup_mohr_coulomb.rheology import (
     Friction,

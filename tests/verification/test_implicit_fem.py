@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.api import FlowField, InputError, Ledger, MixingScene, RunError
-from scaleup.decomposition import Decomposition
-from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.scene import Diffusion
-from scaleup.stability_map import breaks_bounds, grows, maker, uniform_scene
+from scaleup.contract import FlowField, InputError, Ledger, MixingScene, RunError
+from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.scene.models import Diffusion
+from scaleup.space.decomposition import Decomposition
 from scaleup.testing import check_mixing
 from scaleup.verification import fitted_order, problems, run
+from scaleup.verification.stability_map import breaks_bounds, grows, maker, uniform_scene
 from scaleup.verification.study import scene_of as scene_of_problem
 from scaleup_finite_volume import FiniteVolume
 from scaleup_implicit_fem import ImplicitFem

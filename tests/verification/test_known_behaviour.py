@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.api import MixingScene
-from scaleup.blending import mix
-from scaleup.config import compose
-from scaleup.decomposition import Decomposition
-from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.flow_source import obtain_flow
+from scaleup.case.composing import compose
+from scaleup.contract import MixingScene
+from scaleup.flow.source import obtain_flow
+from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.run.blending import mix
+from scaleup.space.decomposition import Decomposition
 from scaleup_finite_volume import FiniteVolume
 from scaleup_surface_layer import general
 
@@ -32,9 +32,9 @@ def blended(loading, revolutions, geometry, *settings):
         f"operation.revolutions={revolutions}",
         "output.metrics_every=0.5",
     ]
-    config = scene(geometry, *settings)
-    flow = obtain_flow(config, COMM).flow
-    return np.array(mix(config, flow, COMM).intensity)
+    case = scene(geometry, *settings)
+    flow = obtain_flow(case, COMM).flow
+    return np.array(mix(case, flow, COMM).intensity)
 
 
 @pytest.mark.parametrize(("mixing", "bound"), [("finite-volume", 0.05), ("semi-lagrangian", 0.2)])
@@ -47,11 +47,11 @@ def test_a_v_blender_mixes_along_its_axis_much_slower_than_top_to_bottom(store, 
 
 
 def test_without_diffusion_nothing_at_all_crosses_the_mirror_plane_of_a_v_blender(store):
-    config = scene(*V, "diffusion.k1=0")
-    flow = obtain_flow(config, COMM).flow
+    case = scene(*V, "diffusion.k1=0")
+    flow = obtain_flow(case, COMM).flow
     grid = flow.grid
     front = grid.centre_points(np.arange(grid.cells))[:, 2] > 0
-    backend, end = start(config, flow, lambda cells: front[cells].astype(float))
+    backend, end = start(case, flow, lambda cells: front[cells].astype(float))
     for index, begin, stop in flow.schedule(0.0, end):
         backend.advance(index, begin, stop)
     last = flow.intervals[index]
@@ -60,21 +60,21 @@ def test_without_diffusion_nothing_at_all_crosses_the_mirror_plane_of_a_v_blende
     assert np.array_equal(np.unique(front[last.cells]), [False, True])
 
 
-def start(config, flow, concentration, index=0):
+def start(case, flow, concentration, index=0):
     """Finite volumes on an interval, from a concentration of cells; and 1 revolution, s."""
     backend = FiniteVolume(FiniteVolume.Options())
     split = Decomposition(flow.grid, flow.ever_active(), COMM, halo=backend.halo)
-    grain = config.material.grain_diameter
-    tensor = partial(diffusion_tensor, flow, law=config.diffusion, grain_diameter=grain)
+    grain = case.material.grain_diameter
+    tensor = partial(diffusion_tensor, flow, law=case.diffusion, grain_diameter=grain)
     first = concentration(flow.intervals[index].cells)
     whole = np.stack([first, 1.0 - first])
-    backend.start(MixingScene(flow, config.diffusion, grain, split, tensor), whole, index)
-    return backend, config.operation.period
+    backend.start(MixingScene(flow, case.diffusion, grain, split, tensor), whole, index)
+    return backend, case.operation.period
 
 
 def test_a_long_drum_mixes_along_its_axis_by_diffusion_alone(store):
     """d(variance along z)/dt = 2 <D_zz>, the mean over the bed of what the model says."""
-    config = scene(
+    case = scene(
         "drum",
         "geometry.length='30 cm'",
         "flow.name=surface-layer",
@@ -82,17 +82,17 @@ def test_a_long_drum_mixes_along_its_axis_by_diffusion_alone(store):
         "grid.spacing='10 mm'",
         "material.grain_diameter='6 mm'",
     )
-    flow = obtain_flow(config, COMM).flow
+    flow = obtain_flow(case, COMM).flow
     z = flow.grid.centre_points(np.arange(flow.grid.cells))[:, 2]
     band = np.exp(-0.5 * (z / 0.03) ** 2)
-    backend, period = start(config, flow, lambda cells: band[cells], flow.prefix)
+    backend, period = start(case, flow, lambda cells: band[cells], flow.prefix)
 
     def variance(interval):
         held = backend.concentration(interval)[0] * interval.fill_end
         return float(held @ z[interval.cells] ** 2 / held.sum())
 
     def spreads(interval):
-        tensor = diffusion_tensor(flow, interval, config.diffusion, 6e-3)
+        tensor = diffusion_tensor(flow, interval, case.diffusion, 6e-3)
         fill = 0.5 * (interval.fill_start + interval.fill_end)
         return float(tensor[2, 2] @ fill / fill.sum())
 

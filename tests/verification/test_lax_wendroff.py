@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.api import FlowField, MixingScene
-from scaleup.blending import mix
-from scaleup.config import compose, fill_volume
-from scaleup.decomposition import Decomposition
-from scaleup.diffusion_tensor import diffusion_tensor
-from scaleup.flow_source import obtain_flow
-from scaleup.scene import Diffusion
+from scaleup.case.composing import compose
+from scaleup.contract import FlowField, MixingScene
+from scaleup.flow.source import obtain_flow
+from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.run.blending import mix
+from scaleup.scene.models import Diffusion
+from scaleup.space.decomposition import Decomposition
 from scaleup.testing import check_flow, check_mixing
 from scaleup.verification import Result, fitted_order, problems, run
 from scaleup.verification.deformations import vortex_flow
@@ -111,9 +111,9 @@ def test_contract_on_a_moving_fill_and_with_several_components(form, components)
 
 @pytest.mark.parametrize("closure", ["shear-rate", "parabolic"])
 def test_the_surface_layer_flow_keeps_its_contract(store, closure):
-    config = compose(None, ["grid.spacing='1 mm'", f"flow.closure={closure}"], FAST)
-    flow = obtain_flow(config, MPI.COMM_SELF).flow
-    check_flow(flow, config.plugin("geometry"), fill_volume(config))
+    case = compose(None, ["grid.spacing='1 mm'", f"flow.closure={closure}"], FAST)
+    flow = obtain_flow(case, MPI.COMM_SELF).flow
+    check_flow(flow, case.geometry, case.fill_volume)
     assert flow.lift == pytest.approx(np.radians(23.6))
 
 
@@ -121,12 +121,12 @@ def test_the_parabolic_layer_is_the_published_velocity_field(store):
     """In the layer v_s = 2u(1 - depth/delta) - w(b + depth) (Khakhar et al. 1997), order >= 1.8."""
     errors, spacings = [], (2e-3, 1e-3, 5e-4)
     for spacing in spacings:
-        config = compose(
+        case = compose(
             None,
             [f"grid.spacing={spacing}", "flow.closure=parabolic", "flow.thickness=0.012"],
             FAST,
         )
-        flow = obtain_flow(config, MPI.COMM_SELF).flow
+        flow = obtain_flow(case, MPI.COMM_SELF).flow
         part, omega, b, angle = flow.intervals[0], flow.angular_velocity, 0.3 * 0.07, flow.lift
         p = flow.grid.centre_points(part.cells)
         down, out = np.array([-np.cos(angle), -np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
@@ -148,8 +148,8 @@ def test_blending_the_drum_converges_and_conserves(store):
     curves = {}
     for spacing in ("2 mm", "1 mm", "0.5 mm"):
         asked = [f"grid.spacing='{spacing}'", "operation.revolutions=1", "mixing.name=lax-wendroff"]
-        config = compose(None, asked, FAST)
-        blend = mix(config, obtain_flow(config, MPI.COMM_SELF).flow, MPI.COMM_SELF)
+        case = compose(None, asked, FAST)
+        blend = mix(case, obtain_flow(case, MPI.COMM_SELF).flow, MPI.COMM_SELF)
         assert blend.mass_drift < 1e-12
         curves[spacing] = np.array(blend.intensity)
     coarse, middle, fine = curves.values()

@@ -8,9 +8,9 @@ import pytest
 import trimesh
 from netgen.occ import Box, Cylinder, OCCGeometry, Pnt, X
 
-from scaleup import registry
-from scaleup.config import compose
-from scaleup.errors import InputError
+from scaleup.case.composing import compose
+from scaleup.system import registry
+from scaleup.system.errors import InputError
 from scaleup.testing import check_geometry
 
 LENGTH, RADIUS = 300.0, 100.0  # mm, of a cylinder along x with a square chute at its end

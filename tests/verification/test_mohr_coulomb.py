@@ -12,11 +12,11 @@ from netgen.occ import Circle, Pnt
 from ngsolve.meshes import MakeStructured2DMesh
 from scipy.optimize import brentq
 
-from scaleup.blending import mix
-from scaleup.config import compose, fill_volume
-from scaleup.errors import RunError
-from scaleup.flow_source import obtain_flow
-from scaleup.scene import GRAVITY, Material
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.run.blending import mix
+from scaleup.scene.models import GRAVITY, Material
+from scaleup.system.errors import RunError
 from scaleup.testing import check_flow
 from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.layer import layer_shear_rate
@@ -465,8 +465,8 @@ def solved(store):
 
 def test_a_coarse_drum_end_to_end(solved):
     """The contract, and the flux that rigid rotation demands."""
-    config, flow = compose(None, SOLVED), solved.flow
-    check_flow(flow, config.plugin("geometry"), fill_volume(config))
+    case, flow = compose(None, SOLVED), solved.flow
+    check_flow(flow, case.geometry, case.fill_volume)
     figures = flow.summary
     assert 20.0 < figures["surface_angle_deg"] < 31.0
     assert figures["flux_midbed"] == pytest.approx(figures["rigid_upflow_midbed"], rel=0.2)
@@ -532,8 +532,8 @@ def test_the_start_up_leads_from_the_first_slip_to_the_mean_flow(solved):
     assert coarser.flow.prefix == flow.prefix
 
     for mixing in ("finite-volume", "lax-wendroff", "implicit-fem", "semi-lagrangian"):
-        config = compose(None, [*SOLVED, "grid.spacing='2 mm'", f"mixing.name={mixing}"])
-        blend = mix(config, coarser.flow, MPI.COMM_SELF)
+        case = compose(None, [*SOLVED, "grid.spacing='2 mm'", f"mixing.name={mixing}"])
+        blend = mix(case, coarser.flow, MPI.COMM_SELF)
         assert blend.mass_drift < 1e-12
         if mixing != "lax-wendroff":  # unlimited
             assert blend.ledger.minimum > -1e-9
@@ -576,9 +576,9 @@ def test_what_a_bed_is_warned_of(fine_size, rotation, expected):
 
 
 def test_no_steady_bed_in_the_time_given_is_an_error(store):
-    config = compose(None, [*COARSE, "flow.time_limit=0.8"])
+    case = compose(None, [*COARSE, "flow.time_limit=0.8"])
     with pytest.raises(RunError, match="raise the time limit"):
-        obtain_flow(config, MPI.COMM_SELF)
+        obtain_flow(case, MPI.COMM_SELF)
 
 
 def test_a_killed_solve_goes_on_from_its_checkpoint(mesh):

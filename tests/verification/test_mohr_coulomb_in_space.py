@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.config import compose, fill_volume
-from scaleup.errors import InputError
-from scaleup.flow_source import make_grid, obtain_flow
-from scaleup.grid import Grid
-from scaleup.scene import GRAVITY
+from scaleup.case.composing import compose
+from scaleup.flow.source import obtain_flow
+from scaleup.scene.models import GRAVITY
+from scaleup.space.grid import Grid
+from scaleup.system.errors import InputError
 from scaleup.testing import check_flow
 from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
 from scaleup_mohr_coulomb.revolutions import Turned, level_bed
@@ -202,7 +202,7 @@ def test_closed_fluxes_are_exact_and_leave_a_balanced_flow_alone():
 def test_a_turned_bed_becomes_a_periodic_flow_field(drum, mirrored):
     """A plane bed that stays at 25 deg in the lab: contract, volume, mirror image."""
     drum = drum_flow(COMM, mirrored=True) if mirrored else drum
-    config = compose(
+    case = compose(
         None, ["geometry.length='5 cm'", "grid.cells=4000"], {"geometry": {"name": "drum"}}
     )
     per_revolution, level = 24, drum.level_set
@@ -224,11 +224,11 @@ def test_a_turned_bed_becomes_a_periodic_flow_field(drum, mirrored):
         mismatch=0.0,
     )
     scene = SimpleNamespace(
-        geometry=config.plugin("geometry"),
-        grid=make_grid(config),
-        fill_volume=fill_volume(config),
+        geometry=case.geometry,
+        grid=case.grid,
+        fill_volume=case.fill_volume,
         speed=NOMINAL_SPEED,
-        material=config.material,
+        material=case.material,
     )
     flow = periodic_flow(drum, run, scene, COMM, lambda *_: None)
     check_flow(flow, scene.geometry, scene.fill_volume)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup import registry
-from scaleup.api import MixingScene
-from scaleup.errors import RunError
-from scaleup.stability_map import breaks_bounds, grows, maker, uniform_scene
+from scaleup.contract import MixingScene
+from scaleup.system import registry
+from scaleup.system.errors import RunError
+from scaleup.verification.stability_map import breaks_bounds, grows, maker, uniform_scene
 
 SCHEMES = {
     "lax-wendroff corrected": ("lax-wendroff", {}),

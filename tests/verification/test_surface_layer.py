@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.api import Material, Scene, grid_over, level_height
-from scaleup.storage import read_flow, write_flow
+from scaleup.contract import Material, Scene
+from scaleup.flow.storage import read_flow, write_flow
+from scaleup.numerics import grid_over, level_height
 from scaleup.testing import check_flow
 from scaleup_drum import Drum
 from scaleup_surface_layer import SurfaceLayer, sandpile

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scaleup import registry
-from scaleup.api import Ledger
-from scaleup.errors import InputError
+from scaleup.contract import Ledger
+from scaleup.system import registry
+from scaleup.system.errors import InputError
 from scaleup.testing import check_flow
 from scaleup.verification import fitted_order, problems, run
 from scaleup.verification.bodies import gaussian, spread_gaussian, turned

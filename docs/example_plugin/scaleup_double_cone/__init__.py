@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from scaleup.api import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
 
 
 class DoubleCone:

@@ -1,11 +1,11 @@
-"""A blender written against scaleup.api alone, as a third party would."""
+"""A blender written against scaleup.contract alone, as a third party would."""
 
 import math
 from typing import Any, ClassVar
 
 import numpy as np
 
-from scaleup.api import Axis, FloatArray, PluginOptions, units
+from scaleup.contract import Axis, FloatArray, PluginOptions, units
 
 
 class Tin:

@@ -1,0 +1,1 @@
+"""The case: a configuration that was composed, judged and resolved."""

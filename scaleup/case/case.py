@@ -1,0 +1,167 @@
+"""The case: a configuration resolved once into what all below it takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+from scaleup.case.config import Accuracy, Output, RunConfig
+from scaleup.case.vessel_shape import Bed, level_height
+from scaleup.contract import Diffusion, Flow, Geometry, Grid, Material
+from scaleup.scene.models import Operation
+from scaleup.space.grid import grid_over
+from scaleup.system import registry
+from scaleup.system.blame import blamed_on
+from scaleup.system.errors import ContractError, InputError, shown
+from scaleup.system.registry import Kind
+
+
+class Case:
+    """Vessel, flow model, bed and grid of a configuration, each built once, when it is first asked.
+
+    config -- the configuration, validated. Its tables are at hand as `material`, `operation`,
+              `diffusion`, `accuracy` and `output`
+    """
+
+    def __init__(self, config: RunConfig):
+        self.config = config
+
+    def changed(self, **tables: Mapping[str, Any]) -> Case:
+        """The case with other values of some keys of some tables (not validated)."""
+        update = {
+            name: getattr(self.config, name).model_copy(update=values)
+            for name, values in tables.items()
+        }
+        return Case(self.config.model_copy(update=update))
+
+    @property
+    def material(self) -> Material:
+        """The powder."""
+        return self.config.material
+
+    @property
+    def operation(self) -> Operation:
+        """How the vessel is filled and turned."""
+        return self.config.operation
+
+    @property
+    def diffusion(self) -> Diffusion:
+        """The law of diffusion."""
+        return self.config.diffusion
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """What is asked of the error, and of samples."""
+        return self.config.accuracy
+
+    @property
+    def output(self) -> Output:
+        """What is kept."""
+        return self.config.output
+
+    def name(self, kind: Kind) -> str:
+        """What the chosen plugin is registered under."""
+        return str(getattr(self.config, kind)["name"])
+
+    def plugin_class(self, kind: Kind) -> Any:
+        """The chosen plugin."""
+        return registry.load(kind, self.name(kind))
+
+    def options(self, kind: Kind) -> Any:
+        """The chosen plugin's validated Options."""
+        return self.config.options(kind)
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """The vessel."""
+        vessel: Geometry = self._built("geometry")
+        return vessel
+
+    @cached_property
+    def flow(self) -> Flow:
+        """The flow model."""
+        model: Flow = self._built("flow")
+        return model
+
+    def new_mixing(self) -> Any:
+        """A mixing backend (`Mixing`) that nothing was started on yet."""
+        return self._built("mixing")
+
+    def _built(self, kind: Kind) -> Any:
+        name = self.name(kind)
+        with blamed_on(kind, name):
+            return registry.load(kind, name)(self.options(kind))
+
+    @cached_property
+    def fill_volume(self) -> float:
+        """The bed's volume, m^3. Raises InputError if the vessel cannot hold it."""
+        geometry, fill = self.geometry, self.operation.fill
+        if fill.depth_ratio is not None:
+            bottom, top = geometry.lower[1], geometry.upper[1]
+            return float(geometry.volume_below(bottom + fill.depth_ratio * (top - bottom)))
+        if fill.volume_fraction is not None:
+            return float(fill.volume_fraction * geometry.volume)
+        assert fill.mass is not None  # the model's validator has seen to it
+        volume = float(fill.mass / self.material.bulk_density)
+        if volume >= geometry.volume:
+            most = geometry.volume * self.material.bulk_density
+            raise InputError(
+                f"operation.fill.mass = {fill.mass:g} kg: the vessel holds {most:.4g} kg"
+            )
+        return volume
+
+    @cached_property
+    def fill_in_all_kinds(self) -> dict[str, float]:
+        """The fill as depth ratio, volume fraction and mass (kg), whichever was given."""
+        geometry, volume = self.geometry, self.fill_volume
+        bottom, top = geometry.lower[1], geometry.upper[1]
+        return {
+            "depth_ratio": (level_height(geometry, volume) - bottom) / (top - bottom),
+            "volume_fraction": volume / geometry.volume,
+            "mass": volume * self.material.bulk_density,
+        }
+
+    @cached_property
+    def spacing(self) -> float:
+        """Edge of a cell, m; from the wanted number of active cells if that was given."""
+        choice = self.config.grid
+        if choice.spacing is not None:
+            return float(choice.spacing)
+        assert choice.cells is not None  # the model's validator has seen to it
+        if self.geometry.dimension == 2:
+            return math.sqrt(self.fill_volume / self.geometry.depth / choice.cells)
+        return float((self.fill_volume / choice.cells) ** (1 / 3))
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Equal cells over the vessel."""
+        geometry = self.geometry
+        return grid_over(geometry.lower, geometry.upper, self.spacing, geometry.depth)
+
+    @cached_property
+    def bed(self) -> Bed:
+        """The level bed in the vessel before it turns. Raises InputError if there can be none."""
+        return Bed(self.geometry, self.fill_volume, self.spacing)
+
+    @property
+    def sample_edge(self) -> float:
+        """Edge, m, of the samples that are asked for: cubes."""
+        if self.accuracy.sample_mass is not None:
+            return float((self.accuracy.sample_mass / self.material.bulk_density) ** (1 / 3))
+        return float(self.accuracy.scrutiny * self.material.grain_diameter)
+
+    @cached_property
+    def flow_cautions(self) -> tuple[str, ...]:
+        """What the flow model says of the scene before it is solved.
+
+        Raises InputError if it refuses, ContractError if it says no sentences.
+        """
+        cautions = getattr(self.flow, "cautions", None)
+        if cautions is None:
+            return ()
+        said = cautions(self.geometry, self.material, self.operation.speed, self.fill_volume)
+        if not isinstance(said, (tuple, list)) or not all(isinstance(text, str) for text in said):
+            raise ContractError(f"cautions must return a tuple of sentences, not {shown(said)}")
+        return tuple(said)

@@ -1,0 +1,1 @@
+"""The flow: obtained from a model or the store, checked, closed."""

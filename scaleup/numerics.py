@@ -1,0 +1,61 @@
+"""Numerical tools for authors of plugins, beside the contract (`scaleup.contract`)."""
+
+from __future__ import annotations
+
+from scaleup.case.vessel_shape import (
+    froude_number,
+    is_circle,
+    level_height,
+    require_drum,
+    require_rolling,
+)
+from scaleup.flow.bed_support import bed_depth, critical_height, lifted_lean
+from scaleup.flow.stream_function import fit_stream_function, flow_from_stream_function
+from scaleup.mixing.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
+from scaleup.mixing.flux_correction import FluxCorrection
+from scaleup.mixing.transport import ExplicitBackend, ExplicitTransport
+from scaleup.space.closed_surface import ClosedSurface
+from scaleup.space.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
+from scaleup.space.cut_cells import cut_fraction, cut_fraction_of_cells, fill_to_volume
+from scaleup.space.flow_field import interval_from_dense
+from scaleup.space.grid import FULL, grid_over
+from scaleup.space.merged_cells import neighbours_below
+from scaleup.space.spread import spread_outwards
+from scaleup.space.symmetric_solve import SymmetricSolver
+from scaleup.system.parallel import on_each, on_root, on_root_alone
+
+__all__ = [
+    "BRIDGE",
+    "FULL",
+    "ClosedSurface",
+    "CompactInterval",
+    "CompactIntervals",
+    "ConservativeBed",
+    "ExplicitBackend",
+    "ExplicitTransport",
+    "FluxCorrection",
+    "GroupsHere",
+    "MirroredParts",
+    "SymmetricSolver",
+    "bed_depth",
+    "critical_height",
+    "cut_fraction",
+    "cut_fraction_of_cells",
+    "fill_to_volume",
+    "fit_stream_function",
+    "flow_from_stream_function",
+    "froude_number",
+    "grid_over",
+    "interval_from_dense",
+    "is_circle",
+    "level_height",
+    "lifted_lean",
+    "neighbours_below",
+    "on_each",
+    "on_root",
+    "on_root_alone",
+    "require_drum",
+    "require_rolling",
+    "runs_of",
+    "spread_outwards",
+]

@@ -1,0 +1,1 @@
+"""The run: planned, locked, blended, kept, published."""

@@ -1,0 +1,1 @@
+"""What a user states, in units: material, operation, loading."""

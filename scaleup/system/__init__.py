@@ -1,0 +1,1 @@
+"""What any program needs: errors in one sentence, files, processes, MPI, plugins found."""
