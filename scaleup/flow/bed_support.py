@@ -10,7 +10,7 @@ radius, and K p, K = (1 - sin phi)/(1 + sin phi), on walls across the axis,
 r the distance from the axis, s that along the surface's normal. In a drum's cross-section
 L = 3 (sin a - a cos a)/sin^3 a, a half the angle of the chord: 1 for a thin bed, 2.4 for a half
 full drum. The finite elements of flow `mohr-coulomb` find 5.6 and 17.2 deg where this gives 5.7 and
-16.6 (docs/plugins/mohr-coulomb.md, wall friction 0.05 and 0.15).
+16.6 (docs/plugins/mohr-coulomb-study.md, wall friction 0.05 and 0.15).
 
 **Cohesion.** A wall of cohesive powder stands by itself up to 4 c/(rho g) tan(45 deg + phi/2)
 (Terzaghi, Theoretical Soil Mechanics): a bed less deep than that turns as a lump.

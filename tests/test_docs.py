@@ -1,0 +1,82 @@
+"""What pages and docstrings say exists does: links, files, modules and names in them."""
+
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+from pkgutil import resolve_name
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+TREES = ("scaleup", "plugins", "geometries", "tests", "benchmarks", "tools", "docs")
+PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *REPOSITORY.glob("docs/**/*.md")]
+CODE = [path for tree in TREES for path in (REPOSITORY / tree).rglob("*.py")]
+
+
+def relative(path: Path) -> str:
+    return str(path.relative_to(REPOSITORY))
+
+
+@cache
+def anchors(page: Path) -> set[str]:
+    """What GitHub calls the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title).lower().replace(" ", "-") for title in headings}
+
+
+@cache
+def entry_point_groups() -> set[str]:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+    return set(project["project"]["entry-points"])
+
+
+def found(name: str) -> bool:
+    """Whether a dotted name is a module, or something in one."""
+    try:
+        resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        linked = (page.parent / path).resolve() if path else page
+        assert linked.exists(), f"{target}: no such file"
+        assert not anchor or anchor in anchors(linked), f"{target}: no such heading"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_pages_name_files_that_exist(page):
+    names = {path.name for path in CODE}
+    for path in set(re.findall(r"[\w./-]+\.py\b", page.read_text(encoding="utf-8"))):
+        exists = (REPOSITORY / path).is_file() if "/" in path else path in names
+        assert exists or (page.parent / path).is_file(), f"{path}: no such file"
+
+
+def test_code_names_files_that_exist():
+    path_to = re.compile(rf"(?<![\w/.-])(?:{'|'.join(TREES)})/[\w./-]*\.(?:py|md|png|toml)\b")
+    missing = {
+        f"{relative(path)}: {named}"
+        for path in CODE
+        for named in path_to.findall(path.read_text(encoding="utf-8"))
+        if not (REPOSITORY / named).exists() and not (path.parent / named).exists()
+    }
+    assert not missing
+
+
+def test_names_within_scaleup_exist():
+    dotted = re.compile(r"(?<![\w.\"/-])scaleup(?:\.[A-Za-z_]\w*)+")
+    skipped = entry_point_groups()
+    missing = {
+        f"{relative(path)}: {name}"
+        for path in (*PAGES, *CODE)
+        for name in dotted.findall(path.read_text(encoding="utf-8"))
+        if name not in skipped and not found(name)
+    }
+    assert not missing
