@@ -1,8 +1,10 @@
-"""What pages and docstrings say exists does: links, files, modules and names in them."""
+"""What pages and docstrings say is so: links, files, modules, names and examples in them."""
 
+import doctest
 import re
 import tomllib
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from pkgutil import resolve_name
 
@@ -12,6 +14,12 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 TREES = ("scaleup", "plugins", "geometries", "tests", "benchmarks", "tools", "docs")
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *REPOSITORY.glob("docs/**/*.md")]
 CODE = [path for tree in TREES for path in (REPOSITORY / tree).rglob("*.py")]
+
+WITH_EXAMPLES = [
+    inside.with_suffix("").as_posix().replace("/", ".")
+    for inside in (path.relative_to(REPOSITORY) for path in CODE)
+    if inside.parts[0] == "scaleup" and ">>> " in (REPOSITORY / inside).read_text("utf-8")
+]
 
 
 def relative(path: Path) -> str:
@@ -80,3 +88,8 @@ def test_names_within_scaleup_exist():
         if name not in skipped and not found(name)
     }
     assert not missing
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_examples_in_docstrings(module, store):
+    assert doctest.testmod(import_module(module)).failed == 0

@@ -23,6 +23,16 @@ class Case:
 
     config -- the configuration, validated. Its tables are at hand as `material`, `operation`,
               `diffusion`, `accuracy` and `output`
+
+    >>> from scaleup.case.composing import compose
+    >>> case = compose(None, ["operation.fill.depth_ratio=0.5", "grid.spacing=5 mm"])
+    >>> case.name("geometry"), case.grid.counts
+    ('drum', (30, 30))
+    >>> round(case.fill_volume / case.geometry.volume, 6)
+    0.5
+    >>> finer = case.changed(grid={"spacing": 0.0025})
+    >>> finer.grid.counts
+    (58, 58)
     """
 
     def __init__(self, config: RunConfig):

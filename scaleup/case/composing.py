@@ -38,6 +38,14 @@ def compose(
     flags       -- nested tables of the command line's short flags
     flow_must_accept -- whether a flow model that refuses the vessel and speed is an error
     Raises InputError with one sentence naming key, value and rule.
+
+    >>> case = compose(None, ["operation.speed=8 rpm"], {"geometry": {"name": "drum"}})
+    >>> round(case.operation.speed, 4)  # rad/s
+    0.8378
+    >>> compose(None, ["material.wall_friction=-1"])
+    Traceback (most recent call last):
+        ...
+    scaleup.system.errors.InputError: material.wall_friction = -1: must be at least 0
     """
     tables: dict[str, Any] = {}
     for text in assignments:

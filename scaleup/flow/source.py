@@ -63,6 +63,15 @@ def obtain_flow(case: Case, comm: Any) -> FlowOutcome:
     """The FlowField of a run, from the store or solved and stored; collective.
 
     A stored flow is checked as a new one is; one that fails is set aside and solved again.
+
+    >>> from mpi4py import MPI
+    >>> from scaleup.case.composing import compose
+    >>> case = compose(None, ["flow.name=surface-layer", "grid.cells=300"])
+    >>> outcome = obtain_flow(case, MPI.COMM_WORLD)
+    >>> outcome.flow.frame, outcome.flow.summary["surface_angle_deg"]
+    ('lab', 23.6)
+    >>> obtain_flow(case, MPI.COMM_WORLD).reused
+    True
     """
     store, wanted, grid = Store(), _wanted(case), case.grid
     path = wanted.path

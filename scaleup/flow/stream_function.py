@@ -42,6 +42,20 @@ def flow_from_stream_function(
     fill       -- m^3, shape (ny, nx)
     shear_rate -- 1/s, shape (ny, nx)
     The direction is that of the cell's velocity relative to rigid rotation.
+
+    A box of powder, full, that circulates:
+
+    >>> from scaleup.space.grid import grid_over
+    >>> grid = grid_over((0.0, 0.0), (0.08, 0.08), spacing=0.01, depth=0.01)
+    >>> x, y = np.moveaxis(grid.corner_points(), -1, 0)
+    >>> inside = (x > 1e-9) & (x < 0.08 - 1e-9) & (y > 1e-9) & (y < 0.08 - 1e-9)
+    >>> psi = np.where(inside, 1e-4 * np.sin(np.pi * x / 0.08) * np.sin(np.pi * y / 0.08), 0.0)
+    >>> fill = np.zeros(grid.shape)
+    >>> fill[1:-1, 1:-1] = grid.cell_volume
+    >>> flow = flow_from_stream_function(grid, psi, fill, np.zeros(grid.shape), axis=Axis(),
+    ...                                  angular_velocity=0.5, lift=0.0, summary={})
+    >>> flow.steady, float(abs(flow.intervals[0].outflow(grid)).max()) < 1e-20  # m^3/s
+    (True, True)
     """
     faces = [np.diff(psi, axis=0) * grid.depth, -np.diff(psi, axis=1) * grid.depth]
     none = np.zeros((2, *grid.shape))

@@ -26,6 +26,18 @@ class Blend:
     seconds  -- the same of all that was done
     remarks  -- sentences on how the run went that its reader should know
     profiles -- by revolution: depth below the surface over bed depth, and concentration
+
+    >>> from scaleup.flow.sample_flows import circulating_box
+    >>> flow = circulating_box(dimension=2)
+    >>> left = flow.grid.centre_points(flow.intervals[0].cells)[:, 0] < 0.09
+    >>> blend = Blend()
+    >>> for number, shade in enumerate((0.0, 0.25, 0.5)):  # ever more of one kind in the other
+    ...     first = np.where(left, 1.0 - shade, shade)
+    ...     blend.measure(flow, State(np.stack([first, 1.0 - first])), number, edge=0.02)
+    >>> [round(value, 3) for value in blend.intensity]
+    [1.008, 0.252, 0.0]
+    >>> blend.mass_drift < 1e-12
+    True
     """
 
     revolutions: list[float] = field(default_factory=list)

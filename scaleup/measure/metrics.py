@@ -60,7 +60,20 @@ def sample_edge(grid: Grid, edge: float) -> float:
 
 
 class Sampler:
-    """Cuts the bed of one interval into samples at a scale of scrutiny."""
+    """Cuts the bed of one interval into samples at a scale of scrutiny.
+
+    A box of powder, its left half of one kind, in samples of 4 by 4 cells:
+
+    >>> from scaleup.flow.sample_flows import circulating_box
+    >>> flow = circulating_box(dimension=2)
+    >>> bed = flow.intervals[0]
+    >>> left = (flow.grid.centre_points(bed.cells)[:, 0] < 0.09).astype(float)
+    >>> sampler = Sampler(flow.grid, bed, time=0.0, edge=0.04)
+    >>> round(sampler.measure(left).intensity_sample, 2)  # samples across the border are mixed
+    0.8
+    >>> sampler.measure(np.full(len(left), 0.5)).lacey
+    1.0
+    """
 
     def __init__(self, grid: Grid, interval: Interval, time: float, edge: float):
         """`edge`: wanted edge of a sample, m; rounded to whole cells, at least one.

@@ -47,6 +47,21 @@ def march(
     pause    -- unless 0, why to yield a paused state before the next interval (collective)
 
     The backend gathers a state's concentrations for it, and is asked for nothing else there.
+
+    Half a turn of a flow of eight intervals, by a backend that moves nothing:
+
+    >>> import numpy as np
+    >>> from scaleup.flow.sample_flows import rocking_box
+    >>> class Still:
+    ...     def advance(self, index, start, end):
+    ...         return Ledger(steps=1)
+    ...     def concentration(self, interval, time):
+    ...         return np.ones((1, len(interval.cells)))
+    >>> flow = rocking_box(dimension=2, intervals=8)
+    >>> begin = State(np.ones((1, len(flow.intervals[0].cells))))
+    >>> states = march(flow, Still(), [0.25 * flow.period, 0.5 * flow.period], begin)
+    >>> [(state.index, state.clock, state.ledger.steps) for state in states]
+    [(1, 0.25, 2), (3, 0.5, 4)]
     """
     ledger, clock, index, local = replace(state.ledger), state.clock, state.index, state.local
 

@@ -63,6 +63,20 @@ def mix(
     stopping     -- whether the run is asked to end. Raises StoppedError when it is, with a
                     checkpoint kept
     crew         -- the ranks of `comm` that work; by default those that have a core
+
+    A whole blend from a script, without a run folder:
+
+    >>> from mpi4py import MPI
+    >>> from scaleup.case.composing import compose
+    >>> from scaleup.flow.source import obtain_flow
+    >>> asked = ["flow.name=surface-layer", "grid.cells=300", "operation.revolutions=0.5"]
+    >>> case = compose(None, asked)
+    >>> flow = obtain_flow(case, MPI.COMM_WORLD).flow
+    >>> blend = mix(case, flow, MPI.COMM_WORLD)
+    >>> blend.revolutions[-1], blend.mass_drift < 1e-12
+    (0.5, True)
+    >>> blend.intensity[-1] < blend.intensity[0]
+    True
     """
     root = comm.rank == 0
     plan = Plan.of(case, flow, with_pictures=results is not None)

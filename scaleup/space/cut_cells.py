@@ -22,6 +22,17 @@ def cut_fraction(corner_values: FloatArray) -> FloatArray:
 
     corner_values -- level set at all cell corners, shape (*(shape + 1),), 2-D or 3-D
     Returns an array of the cells' shape. Second order in the spacing for a smooth level set.
+
+    A disc of 100 mm on cells of 5 mm:
+
+    >>> from scaleup.space.grid import grid_over
+    >>> grid = grid_over((-0.05, -0.05), (0.05, 0.05), spacing=0.005, depth=0.01)
+    >>> x, y = np.moveaxis(grid.corner_points(), -1, 0)
+    >>> fraction = cut_fraction(0.05 - np.hypot(x, y))
+    >>> fraction.shape == grid.shape, float(fraction.max())
+    (True, 1.0)
+    >>> round(fraction.sum() * grid.cell_volume / (np.pi * 0.05**2 * 0.01), 3)
+    0.998
     """
     dimension = corner_values.ndim
     shape = tuple(n - 1 for n in corner_values.shape)
@@ -68,6 +79,15 @@ def fill_to_volume(
     volume      -- m^3
     Returns (fill in m^3 with `grid.shape`, the shift in m); the total is `volume` to round-off.
     Raises InputError if the vessel cannot hold it.
+
+    A level bed of 20 cm^3 in a drum's cross-section that holds 78:
+
+    >>> from scaleup.space.grid import grid_over
+    >>> grid = grid_over((-0.05, -0.05), (0.05, 0.05), spacing=0.005, depth=0.01)
+    >>> x, y = np.moveaxis(grid.corner_points(), -1, 0)
+    >>> fill, shift = fill_to_volume(grid, bed=-y, vessel=0.05 - np.hypot(x, y), volume=2e-5)
+    >>> round(fill.sum() * 1e6, 9), round(shift, 4)  # cm^3; its surface is at y = shift
+    (20.0, -0.0197)
     """
     capacity = float(cut_fraction(vessel).sum() * grid.cell_volume)
     if not 0 < volume <= capacity:

@@ -81,6 +81,19 @@ class Decomposition:
     local_shape -- shape of a rank's arrays: owned cells and `halo` ghosts on every side
     owned       -- slices of the owned cells in a local array
     box_lower, box_counts -- the box of active cells, widened by `halo`, in grid cells, x first
+
+    One rank that owns all cells of a bed, with two layers of ghosts around them:
+
+    >>> from scaleup.flow.sample_flows import circulating_box
+    >>> flow = circulating_box(dimension=2)
+    >>> split = Decomposition(flow.grid, flow.ever_active(), MPI.COMM_SELF, halo=2)
+    >>> cells = flow.intervals[0].cells
+    >>> field = split.field(components=1)
+    >>> field.array[0] = split.to_local(cells, np.arange(len(cells)))  # numbers the cells
+    >>> field.exchange()  # ghosts take what their owners hold
+    >>> keep, where = split.owned_cells(cells)
+    >>> bool(keep.all()), field.array[0][where][:3].tolist()
+    (True, [0.0, 1.0, 2.0])
     """
 
     def __init__(self, grid: Grid, active: IntArray, comm: Any, halo: int = 1):

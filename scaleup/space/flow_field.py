@@ -289,6 +289,22 @@ def interval_from_dense(
     fill_*, shear_rate -- `grid.shape`; direction -- (dimension, *grid.shape)
     faces -- one array per axis, longer by one along it, as `Interval.face_fluxes` returns
     Raises ValueError if a flux crosses the edge of the grid (which a periodic one has not).
+
+    Two full cells side by side between empty ones; the left one passes half of what it holds to the
+    right one, which had room:
+
+    >>> grid = Grid(lower=(0.0, 0.0), spacing=(0.01, 0.01), counts=(4, 3), depth=0.01)
+    >>> before, after = np.zeros(grid.shape), np.zeros(grid.shape)
+    >>> before[1, 1:3] = 1e-6, 0.5e-6  # m^3
+    >>> after[1, 1:3] = 0.5e-6, 1e-6
+    >>> across, upward = np.zeros((3, 5)), np.zeros((4, 4))
+    >>> across[1, 2] = 0.5e-6 / 0.1  # m^3/s, between the two
+    >>> rate, direction = np.zeros(grid.shape), np.zeros((2, *grid.shape))
+    >>> part = interval_from_dense(0.0, 0.1, grid, before, after, [across, upward], rate, direction)
+    >>> part.cells.tolist()
+    [5, 6]
+    >>> bool(np.allclose(part.fill_start - part.duration * part.outflow(grid), part.fill_end))
+    True
     """
     active = (fill_start > 0) | (fill_end > 0)
     for axis, values in enumerate(faces):

@@ -110,6 +110,12 @@ def grid_over(
 
     At least one cell lies outside the box on every side, so that every cell of the bed has all its
     neighbours; the counts are even, so that the grid can be halved once without overhang.
+
+    >>> grid = grid_over((0.0, 0.0), (0.10, 0.05), spacing=0.01, depth=0.02)
+    >>> grid.counts, grid.shape  # along x and y; as numpy arrays have it
+    ((12, 8), (8, 12))
+    >>> round(grid.cell_volume * 1e6, 9)  # cm^3
+    2.0
     """
     counts, corner = [], []
     for low, high in zip(lower, upper, strict=True):
