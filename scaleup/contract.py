@@ -1,9 +1,10 @@
 """What a plugin must provide; with `scaleup.numerics`, all that it may import from scaleup.
 
 A plugin is a class registered as an entry point in the group `scaleup.geometries`, `scaleup.flow`
-or `scaleup.mixing`. It owns a nested class `Options`, a frozen pydantic model derived from
-`PluginOptions`, and is constructed with an instance of it. The three protocols below are what the
-class must provide beyond that; `scaleup.testing` checks them.
+or `scaleup.mixing`, and derives from `Geometry`, `Flow` or `Mixing`: what has a value or a body
+there may be left out. It owns a nested class `Options`, a frozen pydantic model derived from
+`PluginOptions`; it is made with an instance of it, and keeps that as `self.options`.
+`scaleup.testing` checks the rest.
 
 Conventions: SI units; x right, y up, gravity along -y; rotation about +z, counter-clockwise, so
 that the bed climbs on +x and its surface flows towards -x. Arrays over points are (n, dimension).
@@ -11,6 +12,8 @@ that the bed climbs on +x and its surface flows towards -x. Arrays over points a
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
@@ -24,6 +27,7 @@ from scaleup.scene.models import Model as PluginOptions
 from scaleup.space.flow_field import Axis, FlowField, Interval
 from scaleup.space.grid import BoolArray, FloatArray, Grid, IntArray
 from scaleup.system.errors import ContractError, InputError, RunError
+from scaleup.system.registry import Plugin
 
 if TYPE_CHECKING:
     from scaleup.space.decomposition import Decomposition
@@ -80,19 +84,18 @@ class Memory(Protocol):
         ...
 
 
-class Geometry(Protocol):
+class Geometry(Plugin, kind="geometry"):
     """A vessel, at rest and upright (phase 0)."""
 
-    Options: ClassVar[type[PluginOptions]]
     default_scene: ClassVar[Mapping[str, Any] | Callable[[Any], Mapping[str, Any]]]
     """configuration sections that make `simulate --geometry NAME` work in minutes; a static method
     from the Options to such sections where they depend on the vessel's size or kind"""
 
-    dimension: int
+    dimension: int = 3
     """2 (a cross-section) or 3"""
-    depth: float
+    depth: float = 1.0
     """m, extent along z that a cross-section stands for; 1.0 in 3-D"""
-    axis: Axis
+    axis: Axis = Axis()
     reach: float
     """m, greatest distance of the vessel's inside from the axis"""
     lower: tuple[float, ...]
@@ -100,34 +103,32 @@ class Geometry(Protocol):
     """m, corners of the box around the inside"""
     volume: float
     """m^3"""
-
-    # These four may be left out; the values after "else" are then taken.
-    symmetry: tuple[tuple[float, ...], ...]
+    symmetry: tuple[tuple[float, ...], ...] = ()
     """unit normals of the mirror planes, through the axis' point, that the flow shares with the
-    vessel: those across the axis, that is ((0.0, 0.0, 1.0),), else ()"""
-    thinnest: float
-    """m, thickness of the thinnest part inside, such as a baffle, which the grid must resolve;
-    else infinity"""
-    fingerprint: str
-    """a hash of what the shape depends on beside the Options, such as the content of a file; else
-    empty"""
-    warnings: tuple[str, ...]
-    """sentences for the report on what was mended or should be known of the vessel; else empty"""
+    vessel: those across the axis, that is ((0.0, 0.0, 1.0),) or ()"""
+    thinnest: float = math.inf
+    """m, thickness of the thinnest part inside, such as a baffle, which the grid must resolve"""
+    fingerprint: str = ""
+    """a hash of what the shape depends on beside the Options, such as the content of a file"""
+    warnings: tuple[str, ...] = ()
+    """sentences for the report on what was mended or should be known of the vessel"""
 
+    @abstractmethod
     def signed_distance(self, points: FloatArray) -> FloatArray:
         """Distance to the wall, m, positive inside; points (..., dimension) in m."""
-        ...
 
+    @abstractmethod
     def volume_below(self, height: float) -> float:
         """m^3 of the vessel at rest below the level y = height (m)."""
-        ...
 
     def solid(self) -> Any:
         """The inside as a netgen OCC shape (a face in 2-D), for meshing, in m.
 
         Raises InputError if there is none.
         """
-        ...
+        raise InputError(
+            f"geometry: {type(self).__name__} gives no solid to mesh; take a flow that needs none"
+        )
 
 
 @dataclass(frozen=True)
@@ -150,16 +151,12 @@ class Scene:
     inputs: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Flow(Protocol):
+class Flow(Plugin, kind="flow"):
     """A flow model: from a scene to a FlowField."""
-
-    Options: ClassVar[type[PluginOptions]]
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """Raise InputError if the model cannot hold for this vessel and speed (rad/s). Cheap."""
-        ...
 
-    # This one may be left out.
     def cautions(
         self, geometry: Geometry, material: Material, speed: float, fill_volume: float
     ) -> tuple[str, ...]:
@@ -169,8 +166,9 @@ class Flow(Protocol):
         `plan` says them, and the warnings of the solved flow begin with them. Raises InputError,
         in one sentence that names the remedy, if the model cannot hold for such a bed.
         """
-        ...
+        return ()
 
+    @abstractmethod
     def solve(
         self, scene: Scene, comm: Any, progress: Progress, memory: Memory
     ) -> FlowField | None:
@@ -186,7 +184,6 @@ class Flow(Protocol):
         surface_speed_max, active_layer_thickness, solid_body_ratio, flux_midbed, volume_drift and
         `<key>_reason` for those that it cannot give. Raises RunError if it fails.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -236,36 +233,35 @@ class Ledger:
         self.step_share = max(self.step_share, other.step_share)
 
 
-class Mixing(Protocol):
-    """A mixing backend. Constructed as `Plugin(options)`; `start` binds it to a scene."""
+class Mixing(Plugin, kind="mixing"):
+    """A mixing backend; `start` binds it to a scene."""
 
-    Options: ClassVar[type[PluginOptions]]
     halo: ClassVar[int]
     """layers of ghost cells that the backend reads"""
+    order: ClassVar[float | None] = None
+    """of the scheme on smooth problems in full cells, which `scaleup.verification` measures"""
 
-    # This one may be left out.
+    # A run is held to these two.
+    overshoot: float = 1e-9
+    """how far beyond [0, 1] concentrations may go while the scheme is stable"""
+    conservative: bool = True
+    """whether the content of each component stays what it was, to round-off"""
+
     def check(self, geometry: Geometry, components: int) -> None:
         """Raise InputError if the backend cannot blend so many components in this vessel. Cheap."""
-        ...
 
-    # These two may be left out; the values after "else" are then taken. A run is held to them.
-    overshoot: float
-    """how far beyond [0, 1] concentrations may go while the scheme is stable; else 1e-9"""
-    conservative: bool
-    """whether the content of each component stays what it was, to round-off; else True"""
-
+    @abstractmethod
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells, all ranks."""
-        ...
 
+    @abstractmethod
     def stable_time_step(self, interval: Interval) -> float:
         """Largest stable step on an interval, s; the same on every rank (collective)."""
-        ...
 
+    @abstractmethod
     def advance(self, index: int, start: float, end: float) -> Ledger:
         """Move on over part of interval `index`, in its local clock, s (collective)."""
-        ...
 
+    @abstractmethod
     def concentration(self, interval: Interval) -> FloatArray:
         """(components, n) on the interval's cells, on every rank (collective); sums to 1."""
-        ...

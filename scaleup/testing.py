@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scaleup.case.vessel_shape import axis_meets, symmetry
+from scaleup.case.vessel_shape import axis_meets
 from scaleup.flow.check import check_flow as check_flow
 from scaleup.mixing.check import CheckedMixing
 from scaleup.space.cut_cells import cut_fraction
@@ -55,8 +55,8 @@ class _SampledGeometry:
         if len(lower) != geometry.dimension or np.any(upper <= lower):
             raise ContractError("lower and upper must span a box of the geometry's dimension")
         spacing = float((upper - lower).max()) / (400 if geometry.dimension == 2 else 100)
-        thinnest = float(getattr(geometry, "thinnest", np.inf))
-        return grid_over(geometry.lower, geometry.upper, min(spacing, thinnest), geometry.depth)
+        spacing = min(spacing, geometry.thinnest)
+        return grid_over(geometry.lower, geometry.upper, spacing, geometry.depth)
 
     @cached_property
     def _wall(self) -> FloatArray:
@@ -151,7 +151,7 @@ class _SampledGeometry:
         geometry = self._geometry
         centre = np.array(geometry.axis.point[: geometry.dimension])
         points = self._points[:: max(1, len(self._points) // 20000)]
-        for normal in symmetry(geometry):
+        for normal in geometry.symmetry:
             if geometry.dimension != 3 or np.abs(np.abs(normal) - [0, 0, 1]).max() > 1e-12:
                 raise ContractError(
                     f"symmetry: {normal} must be (0, 0, 1), across the axis, in 3-D"

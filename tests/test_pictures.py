@@ -17,15 +17,14 @@ from scaleup.flow.sample_flows import rocking_box
 from scaleup.report import results as results_module
 from scaleup.report.bed_view import Picture, colour_map, cut, see, wall_of
 from scaleup.report.results import Results, instants
-from vessels import TiltedBox
+from vessels import SignedDistanceVessel, TiltedBox
 
 QUICK = ("--flow", "surface-layer", "--set", "grid.spacing=2 mm", "--revolutions", "0.5")
 
 
-class Ball:
+class Ball(SignedDistanceVessel):
     """A ball about the axis."""
 
-    dimension, depth, axis = 3, 1.0, Axis()
     reach = 0.1
     lower, upper = (-0.1,) * 3, (0.1,) * 3
 
@@ -96,7 +95,7 @@ def _reference_int():
 
 
 def test_a_ball_of_bed_casts_its_own_disc():
-    wall, pixels = wall_of(Ball()), 200
+    wall, pixels = wall_of(Ball(None)), 200
     seen = see(_picture(), wall, pixels)
     first, other = (np.array(colour_map()(value)[:3]) for value in (1.0, 0.0))
 
@@ -113,7 +112,7 @@ def test_a_ball_of_bed_casts_its_own_disc():
 
 @pytest.mark.parametrize("phase", [0.7, 2.0, -1.2])
 def test_a_bed_in_its_vessels_frame_is_turned_into_the_lab(phase):
-    wall = wall_of(Ball())
+    wall = wall_of(Ball(None))
     still, turned = see(_picture(), wall, 120), see(_picture(phase), wall, 120)
     assert np.abs(still - turned).mean() < 0.01
     for plane, centre in (("z", (0.03, -0.02)), ("x", (0.01, -0.02))):

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import splu
 
-from scaleup.contract import FloatArray, Interval, Ledger, MixingScene, PluginOptions
+from scaleup.contract import FloatArray, Interval, Ledger, Mixing, MixingScene, PluginOptions
 
 
-class Upwind:
+class Upwind(Mixing):
     """Fluxes take the concentration upwind at the end of the step: any dimension, moving fill.
 
     Conservative, and bounded at any step, since the matrix is one of positive type; first order in

@@ -6,31 +6,24 @@ import math
 
 import numpy as np
 
-from scaleup.contract import Axis
+from scaleup.contract import Geometry
 from scaleup.numerics import cut_fraction, grid_over
 from scaleup_drum import Drum
 
 
-class SignedDistanceVessel:
+class SignedDistanceVessel(Geometry):
     """A 3-D vessel that states its box and its distance; the volumes are counted on a grid."""
-
-    dimension = 3
-    depth = 1.0
-    axis = Axis()
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    reach: float
 
     def count(self, cells: int = 60) -> None:
         grid = grid_over(self.lower, self.upper, 2 * self.reach / cells, 1.0)
         corners = grid.corner_points()
-        wall, height = self.signed_distance(corners), corners[..., 1]
+        self._cell, self._height = grid.cell_volume, corners[..., 1]
+        self._wall = self.signed_distance(corners)
+        self.volume = self.volume_below(self.upper[1])
 
-        def below(level: float) -> float:
-            return float(cut_fraction(np.minimum(wall, level - height)).sum() * grid.cell_volume)
-
-        self.volume_below = below
-        self.volume = below(self.upper[1])
+    def volume_below(self, height: float) -> float:
+        below = np.minimum(self._wall, height - self._height)
+        return float(cut_fraction(below).sum() * self._cell)
 
 
 def closed_drum() -> Drum:

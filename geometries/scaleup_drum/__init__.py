@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import FloatArray, Geometry, InputError, PluginOptions, units
 
 _SIZES = {"lab": (0.14, 0.2), "pilot": (0.572, 0.851), "plant": (1.5, 2.25)}
 """m, diameter and length: the drum of Liu, Gonzalez & Wassgren 2018 (the length is ours), the
@@ -19,7 +19,7 @@ _LAB_SPEED, _CELLS_ACROSS = 6.0, 467  # rpm; nodes across the diameter, as in th
 _STRIPS = np.polynomial.legendre.leggauss(64)  # of a baffle's thickness, for volumes
 
 
-class Drum:
+class Drum(Geometry):
     """A rotating drum.
 
     Without end walls every cross-section is alike and the scene is 2-D; its defaults are the drum
@@ -84,11 +84,9 @@ class Drum:
             "grid": {"spacing": f"{1e3 * diameter / _CELLS_ACROSS:.2g} mm"},
         }
 
-    axis = Axis()
-    fingerprint = ""
-
     def __init__(self, options: Options):
         """Raises InputError if the baffles do not fit."""
+        super().__init__(options)
         diameter, length = _SIZES[options.size]
         self.radius = 0.5 * (options.diameter or diameter)
         self.closed = options.is_closed

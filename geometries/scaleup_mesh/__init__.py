@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, FilePath, field_serializer
 
-from scaleup.contract import GRAVITY, Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import GRAVITY, FloatArray, Geometry, InputError, PluginOptions, units
 
 if TYPE_CHECKING:
     from scaleup_mesh.sound import Sound
@@ -25,7 +25,7 @@ _STEP = (".step", ".stp")
 Vector = tuple[float, float, float]
 
 
-class Mesh:
+class Mesh(Geometry):
     """A vessel of your own, the inside of a closed surface.
 
     The file's coordinates are turned so that the axis of rotation becomes +z and `up` the upright
@@ -70,13 +70,9 @@ class Mesh:
             "grid": {"cells": 2e5},
         }
 
-    dimension = 3
-    depth = 1.0
-    axis = Axis()
-
     def __init__(self, options: Options):
         """Raises InputError if the file is no vessel's inside, or cannot be held as asked."""
-        self._options = options
+        super().__init__(options)
         scale = _UNITS[options.unit]
         if options.file.suffix.lower() in _STEP and options.unit != "mm":
             raise InputError(
@@ -114,14 +110,14 @@ class Mesh:
 
     def solid(self) -> Any:
         """The inside as a netgen OCC solid, m. Raises InputError but for STEP."""
-        if self._options.file.suffix.lower() not in _STEP:
+        if self.options.file.suffix.lower() not in _STEP:
             raise InputError(
-                f"geometry.file = {str(self._options.file)!r}: a mesh has no solid to mesh anew; "
+                f"geometry.file = {str(self.options.file)!r}: a mesh has no solid to mesh anew; "
                 "give the vessel as STEP"
             )
         from scaleup_mesh.cad import read_solid
 
-        return read_solid(self._options.file, self._origin, self._turn)
+        return read_solid(self.options.file, self._origin, self._turn)
 
 
 def _turn(direction: Vector, up: Vector) -> FloatArray:

@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import FloatArray, Geometry, InputError, PluginOptions, units
 from scaleup_tote.bin_shape import SIZES, Baffle, Size, held_bin
 
 _LAB_SPEED = 5.0  # rpm
 
 
-class Tote:
+class Tote(Geometry):
     """A bin in its tumbler: a rectangular box over a hopper, all edges rounded alike.
 
     The bin stands upright at rest, its outlet down, and turns about a horizontal axis. `tilt` leans
@@ -73,13 +73,9 @@ class Tote:
             "grid": {"cells": 2e5},
         }
 
-    dimension = 3
-    depth = 1.0
-    axis = Axis()
-    fingerprint = ""
-
     def __init__(self, options: Options):
         """Raises InputError if the bin's parts do not go together."""
+        super().__init__(options)
         size = SIZES[options.size]._asdict()
         size |= {key: given for key in size if (given := getattr(options, key)) is not None}
         for part in ("length", "width"):
@@ -90,7 +86,6 @@ class Tote:
                 )
         self._bin = held_bin(Size(**size), options.axis_height, options.tilt, options.turn)
         self._baffle: Baffle | None = None
-        self.thinnest = math.inf
         if options.baffle:
             width, height = size["width"], size["height"]
             self._baffle = Baffle(

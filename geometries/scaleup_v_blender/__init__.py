@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 from scipy.interpolate import PchipInterpolator
 
-from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import FloatArray, Geometry, InputError, PluginOptions, units
 
 _LAB_SPEED = 4.0  # rpm
 _PANELS = 1000  # of the height, for volumes
@@ -31,7 +31,7 @@ _SIZES = {
 }
 
 
-class VBlender:
+class VBlender(Geometry):
     """A V-blender: arms up and the point with the outlet down at rest.
 
     With b half the angle between the arms, the arm at z > 0 is the cylinder of radius R about the
@@ -76,15 +76,11 @@ class VBlender:
             "grid": {"cells": 2e5},
         }
 
-    dimension = 3
-    depth = 1.0
-    axis = Axis()
     symmetry = ((0.0, 0.0, 1.0),)
-    thinnest = math.inf
-    fingerprint = ""
 
     def __init__(self, options: Options):
         """Raises InputError if the arms are too short for their angle or the outlet too long."""
+        super().__init__(options)
         size = _SIZES[options.size]
         self.radius = 0.5 * (options.arm_diameter or size.arm_diameter)
         self.length = options.arm_length or size.arm_length

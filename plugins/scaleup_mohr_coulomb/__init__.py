@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from scaleup.contract import (
     GRAVITY,
+    Flow,
     FlowField,
     Geometry,
     InputError,
@@ -25,7 +26,7 @@ _COARSEST, _FINEST = 3.0, {2: 500.0, 3: 60.0}  # elements in a vessel's reach
 _MOST_STEPS = 2000.0  # in the time of free fall over the reach
 
 
-class MohrCoulomb:
+class MohrCoulomb(Flow):
     """Two-phase level-set flow of a Mohr-Coulomb powder in a drum's cross-section or a vessel.
 
     Unset options follow the rules in `parameters.Discretisation`, none of which has seen
@@ -81,9 +82,6 @@ class MohrCoulomb:
                     "regularised-mu-i: mohr-coulomb has constant friction"
                 )
             return self
-
-    def __init__(self, options: Options):
-        self.options = options
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """A plane scene must look the same at every phase; no powder may centrifuge."""

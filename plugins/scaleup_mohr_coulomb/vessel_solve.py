@@ -63,7 +63,7 @@ def vessel_flow(
         options.inertial_number_0,
         options.tensile_strength,
     )
-    mirrored = (0.0, 0.0, 1.0) in tuple(getattr(geometry, "symmetry", ()))
+    mirrored = (0.0, 0.0, 1.0) in geometry.symmetry
     still = int(_START * scene.material.friction_angle / (2.0 * math.pi) * options.intervals)
     flow = VesselFlow(
         geometry,

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from scaleup.contract import FloatArray, Interval, Ledger, MixingScene, PluginOptions, units
+from scaleup.contract import FloatArray, Interval, Ledger, Mixing, MixingScene, PluginOptions, units
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian.transport import Transport
 
 
-class SemiLagrangian:
+class SemiLagrangian(Mixing):
     """Sub-cells moved along paths through the face fluxes and laid down where they end.
 
     Mass is kept to round-off and 0 <= c <= 1 without clipping, for any step, on moving fills and
@@ -40,9 +40,7 @@ class SemiLagrangian:
         1.9  # in the cell, at steps that do not shrink with it (sheared-disc: 1.7)
     )
 
-    def __init__(self, options: Options):
-        self.options = options
-        self._transport: Transport | None = None
+    _transport: Transport | None = None
 
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells."""

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from scaleup.contract import (
+    Flow,
     FlowField,
     Geometry,
     InputError,
@@ -23,7 +24,7 @@ _CENTRIFUGES = 0.5  # Froude number from which a bed does not roll
 _COARSEST, _FINEST = 5.0, 500.0  # columns in a vessel's reach
 
 
-class SurfaceLayer:
+class SurfaceLayer(Flow):
     """The drum's steady rolling bed from a stream function.
 
     The surface angle is an input of this model (the material's friction angle), not a prediction.
@@ -54,9 +55,6 @@ class SurfaceLayer:
         """general: m, of the lab columns; default 1.5 cells, up to 72 columns across (2-D: 288)"""
         slope_excess: Annotated[float, Field(gt=0, le=0.2)] = 0.01
         """general: share by which the slope exceeds tan(phi) at a flux of omega R^2/2"""
-
-    def __init__(self, options: Options):
-        self.options = options
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """The closed form is that of a rolling bed in a circle; no bed may centrifuge."""

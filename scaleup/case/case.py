@@ -9,7 +9,7 @@ from typing import Any
 
 from scaleup.case.config import Accuracy, Output, RunConfig
 from scaleup.case.vessel_shape import Bed, level_height
-from scaleup.contract import Diffusion, Flow, Geometry, Grid, Material
+from scaleup.contract import Diffusion, Flow, Geometry, Grid, Material, Mixing
 from scaleup.scene.models import Operation
 from scaleup.space.grid import grid_over
 from scaleup.system import registry
@@ -95,9 +95,10 @@ class Case:
         model: Flow = self._built("flow")
         return model
 
-    def new_mixing(self) -> Any:
-        """A mixing backend (`Mixing`) that nothing was started on yet."""
-        return self._built("mixing")
+    def new_mixing(self) -> Mixing:
+        """A mixing backend that nothing was started on yet."""
+        backend: Mixing = self._built("mixing")
+        return backend
 
     def _built(self, kind: Kind) -> Any:
         name = self.name(kind)
@@ -168,10 +169,8 @@ class Case:
 
         Raises InputError if it refuses, ContractError if it says no sentences.
         """
-        cautions = getattr(self.flow, "cautions", None)
-        if cautions is None:
-            return ()
-        said = cautions(self.geometry, self.material, self.operation.speed, self.fill_volume)
+        speed, volume = self.operation.speed, self.fill_volume
+        said = self.flow.cautions(self.geometry, self.material, speed, volume)
         if not isinstance(said, (tuple, list)) or not all(isinstance(text, str) for text in said):
             raise ContractError(f"cautions must return a tuple of sentences, not {shown(said)}")
         return tuple(said)

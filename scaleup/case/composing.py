@@ -94,12 +94,10 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ca
 
 
 def _mixing_accepts(case: Case) -> None:
-    """Ask a mixing backend that may refuse. Raises InputError."""
-    geometry, backend = case.geometry, case.new_mixing()
-    if hasattr(backend, "check"):
-        components = component_count(case.operation.loading, geometry.dimension)
-        with blamed_on("mixing", case.name("mixing")):
-            backend.check(geometry, components)
+    """Ask the mixing backend, which may refuse. Raises InputError."""
+    components = component_count(case.operation.loading, case.geometry.dimension)
+    with blamed_on("mixing", case.name("mixing")):
+        case.new_mixing().check(case.geometry, components)
 
 
 def _likelier(

@@ -57,11 +57,6 @@ class Bed:
         return found
 
 
-def symmetry(geometry: Any) -> tuple[tuple[float, ...], ...]:
-    """The geometry's `symmetry`; none if it does not say."""
-    return tuple(getattr(geometry, "symmetry", ()))
-
-
 def require_vessel(name: str, geometry: Any) -> None:
     """Raise InputError for a vessel of no likely size, or one that its axis misses."""
     least, most = _REACH
@@ -89,7 +84,7 @@ def axis_meets(geometry: Any) -> bool:
 
 def require_resolved(geometry: Any, spacing: float) -> None:
     """Raise InputError if cells of edge `spacing` (m) are too large for a part inside."""
-    thinnest = float(getattr(geometry, "thinnest", np.inf))
+    thinnest = geometry.thinnest
     if thinnest < _CELLS_ACROSS * spacing * (1 - 1e-9):
         raise InputError(
             f"grid: cells of {LENGTH.shown(spacing)} do not resolve a part of the vessel that is "

@@ -161,7 +161,7 @@ def _wanted(case: Case) -> _Wanted:
         "geometry": {
             "name": case.name("geometry"),
             **_dump(case.options("geometry")),
-            "fingerprint": getattr(case.geometry, "fingerprint", ""),
+            "fingerprint": case.geometry.fingerprint,
         },
         "material": _dump(case.material),
         "speed": case.operation.speed,

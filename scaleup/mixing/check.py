@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scaleup.contract import Ledger
+from scaleup.contract import Ledger, Mixing
 from scaleup.space.flow_field import Interval
 from scaleup.space.grid import FloatArray
 from scaleup.system.blame import blamed_on
@@ -30,7 +30,7 @@ class CheckedMixing:
     numbers, and shares that are not negative. A forced run is held to 1, 2 and 5 alone.
     """
 
-    def __init__(self, backend: Any, name: str | None = None):
+    def __init__(self, backend: Mixing, name: str | None = None):
         """`name`: what the backend is registered under, for errors; None for none."""
         self._backend, self._name = backend, name
         with self._within():
@@ -61,7 +61,7 @@ class CheckedMixing:
         with self._within():
             ledger = self._backend.advance(index, start, end)
             self._check_ledger(ledger)
-        return ledger  # type: ignore[no-any-return]  # `_check_ledger` has seen to it
+        return ledger
 
     def concentration(self, interval: Interval, time: float) -> FloatArray:
         """As `Mixing.concentration`, at a time (s) of the interval."""
@@ -110,7 +110,7 @@ class CheckedMixing:
             self._check_bounds(float(ledger.minimum), float(ledger.maximum))
 
     def _check_bounds(self, low: float, high: float) -> None:
-        overshoot = float(getattr(self._backend, "overshoot", _ROUND_OFF))
+        overshoot = float(self._backend.overshoot)
         if not self._forced and max(-low, high - 1.0) > overshoot:
             raise ContractError(
                 f"the concentration runs from {low:.6g} to {high:.6g}, and may leave [0, 1] by "
@@ -123,7 +123,7 @@ class CheckedMixing:
 
     @property
     def _conserves(self) -> bool:
-        return not self._forced and bool(getattr(self._backend, "conservative", True))
+        return not self._forced and bool(self._backend.conservative)
 
 
 def _content(concentration: FloatArray, interval: Interval, time: float) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from scaleup.contract import Ledger
+from scaleup.contract import Ledger, Mixing
 from scaleup.mixing.conservative_bed import ConservativeBed
 from scaleup.mixing.step_guard import LOOK_EVERY, StepGuard
 from scaleup.space.flow_field import Interval
@@ -163,12 +163,10 @@ class ExplicitTransport(ABC, Generic[AnyBed]):
         return known, self.split.gather(known, self.field.flat[:, place], mine)
 
 
-class ExplicitBackend(ABC):
+class ExplicitBackend(Mixing):
     """A `Mixing` whose work an `ExplicitTransport` does; `Options` and `halo` are the plugin's."""
 
-    def __init__(self, options: Any):
-        self.options = options
-        self._transport: ExplicitTransport[Any] | None = None
+    _transport: ExplicitTransport[Any] | None = None
 
     @abstractmethod
     def transport(
@@ -179,6 +177,8 @@ class ExplicitBackend(ABC):
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells."""
         self._transport = self.transport(scene, concentration, index)
+        self.overshoot = self._transport.overshoot
+        self.conservative = self._transport.conservative
 
     @property
     def running(self) -> ExplicitTransport[Any]:
@@ -186,16 +186,6 @@ class ExplicitBackend(ABC):
         if self._transport is None:
             raise RuntimeError("start() comes first")
         return self._transport
-
-    @property
-    def overshoot(self) -> float:
-        """How far beyond [0, 1] the scheme may go while it is stable."""
-        return self.running.overshoot
-
-    @property
-    def conservative(self) -> bool:
-        """Whether the content of each component stays what it was."""
-        return self.running.conservative
 
     def stable_time_step(self, interval: Interval) -> float:
         """Largest step within the scheme's limit, s (collective)."""

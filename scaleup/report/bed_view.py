@@ -92,8 +92,7 @@ class Wall:
 def wall_of(geometry: Any) -> Wall:
     """The wall's lattice of a Geometry: two points across its thinnest part or more."""
     low, high = np.array(geometry.lower), np.array(geometry.upper)
-    thinnest = float(getattr(geometry, "thinnest", math.inf))
-    step = min(float((high - low).max()) / _WALL_POINTS, 0.5 * thinnest)
+    step = min(float((high - low).max()) / _WALL_POINTS, 0.5 * geometry.thinnest)
     step = max(step, (float(np.prod(high - low)) / _MOST_WALL_POINTS) ** (1 / len(low)))
     counts = np.ceil((high - low) / step).astype(int) + 5
     lines = [a + step * (np.arange(n) - 2) for a, n in zip(low, counts, strict=True)]

@@ -16,7 +16,7 @@ def cautions(case: Case, grid: Grid, samples: Samples | None = None) -> list[str
     samples -- as measured; None before a run
     """
     bed, samples = case.bed, samples or Samples.of(case, grid)
-    found = list(getattr(bed.geometry, "warnings", ()))
+    found = list(bed.geometry.warnings)
     cells, grains = bed.depth / bed.spacing, bed.depth / case.material.grain_diameter
     if cells < _CELLS_DEEP:
         found.append(f"the bed is {cells:.3g} cells deep; {_CELLS_DEEP} or more are wanted")

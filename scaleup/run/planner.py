@@ -7,7 +7,7 @@ from typing import Any
 
 from scaleup.case.case import Case
 from scaleup.case.feasibility import machine_memory
-from scaleup.case.vessel_shape import froude_number, require_resolved, symmetry
+from scaleup.case.vessel_shape import froude_number, require_resolved
 from scaleup.flow.source import FlowOutcome, obtain_flow, stored_flow
 from scaleup.flow.storage import Store
 from scaleup.measure.blend import Blend
@@ -35,7 +35,7 @@ def plan(case: Case, ranks: int) -> Iterator[tuple[str, str]]:
     froude = froude_number(geometry, operation.speed)
     yield "flow", f"{flow}, at {SPEED.shown(operation.speed)} (Froude number {froude:.3g})"
     yield "mixing", f"{mixing}, {operation.revolutions:g} revolutions"
-    if symmetry(geometry):
+    if geometry.symmetry:
         yield "symmetry", "the vessel mirrors in a plane across its axis; a flow model may use it"
     yield "vessel", f"{1e3 * geometry.volume:.4g} litres, reach {1e3 * geometry.reach:.4g} mm"
     yield (

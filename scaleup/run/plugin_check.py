@@ -162,7 +162,7 @@ def _small(case: Case) -> list[str]:
         spacing = math.sqrt(volume / geometry.depth / _SMOKE_CELLS)
     else:
         spacing = (volume / _SMOKE_CELLS) ** (1 / 3)
-    spacing = min(spacing, float(getattr(geometry, "thinnest", math.inf)) / _CELLS_ACROSS)
+    spacing = min(spacing, geometry.thinnest / _CELLS_ACROSS)
     return [f"grid.spacing={spacing!r}", f"operation.revolutions={_SMOKE_REVOLUTIONS}"]
 
 

@@ -33,10 +33,9 @@ _ABSENT = "not given"
 def identity(case: Case) -> dict[str, Any]:
     """What makes a run the one that it is, JSON-like: `config` and `code`."""
     plugins = [case.plugin_class(kind) for kind in PLUGIN_SECTIONS]
-    geometry = case.geometry
     return {
         "config": tomllib.loads(case.config.to_toml()),
-        "shape": getattr(geometry, "fingerprint", ""),
+        "shape": case.geometry.fingerprint,
         "code": source_hash.of_run_code(*plugins),
     }
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 import importlib.util
 import sys
 import warnings
+from abc import ABC
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel
 
@@ -23,6 +24,22 @@ GROUPS: dict[Kind, str] = {
     "flow": "scaleup.flow",
     "mixing": "scaleup.mixing",
 }
+_bases: dict[Kind, type[Plugin]] = {}
+
+
+class Plugin(ABC):
+    """What is common to plugins of all kinds. They derive from the base of their kind."""
+
+    Options: ClassVar[type[BaseModel]]
+
+    def __init_subclass__(cls, kind: Kind | None = None):
+        """`kind`: of the plugins that this class is the base of."""
+        super().__init_subclass__()
+        if kind is not None:
+            _bases[kind] = cls
+
+    def __init__(self, options: Any):
+        self.options = options
 
 
 def available(kind: Kind) -> dict[str, EntryPoint]:
@@ -52,8 +69,8 @@ def registered(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
 def load(kind: Kind, name: str) -> Any:
     """The plugin class registered under a name.
 
-    Raises PluginError if the name is unknown (listing the known ones) or if importing it fails
-    (naming the distribution it came from).
+    Raises PluginError if the name is unknown (listing the known ones), or, naming the distribution
+    it came from, if importing it fails or it is no plugin of this kind.
     """
     known = available(kind)
     if name not in known:
@@ -65,12 +82,23 @@ def load(kind: Kind, name: str) -> Any:
         raise PluginError(
             f"{described(kind, name)} cannot be imported ({type(error).__name__}: {error})"
         ) from error
-    options = getattr(plugin, "Options", None)
-    if options is None:
-        raise PluginError(f"{described(kind, name)} has no Options class")
-    if not (isinstance(options, type) and issubclass(options, BaseModel)):
-        raise PluginError(f"{described(kind, name)} has Options that are no PluginOptions")
+    lack = _lack(kind, plugin)
+    if lack:
+        raise PluginError(f"{described(kind, name)} {lack}")
     return plugin
+
+
+def _lack(kind: Kind, plugin: Any) -> str:
+    """What a registered object lacks to be a plugin of a kind; empty if nothing."""
+    base = _bases.get(kind)  # none: what defines it was never imported, nor derived from
+    if base is None or not (isinstance(plugin, type) and issubclass(plugin, base)):
+        return f"is no class derived from scaleup.contract.{kind.title()}"
+    if plugin.__abstractmethods__:
+        return f"does not define {', '.join(sorted(plugin.__abstractmethods__))}"
+    options = getattr(plugin, "Options", None)
+    if not (isinstance(options, type) and issubclass(options, BaseModel)):
+        return "has no class Options derived from scaleup.contract.PluginOptions"
+    return ""
 
 
 def unknown(key: str, name: str, what: str, known: list[str]) -> str:

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from scaleup.case.composing import compose
 from scaleup.command import cli
-from scaleup.contract import Ledger, MixingScene, PluginOptions
+from scaleup.contract import Flow, Geometry, Ledger, Mixing, MixingScene, PluginOptions
 from scaleup.flow.sample_flows import circulating_box
 from scaleup.flow.source import obtain_flow
 from scaleup.mixing.check import CheckedMixing
@@ -25,16 +25,13 @@ from scaleup.system.errors import ContractError, PluginError, ScaleupError, Unfo
 from scaleup.system.parallel import on_each
 
 
-class Still:
+class Still(Mixing):
     """A backend that moves nothing, which no rule forbids."""
 
     class Options(PluginOptions):
         pass
 
     halo = 1
-
-    def __init__(self, options):
-        pass
 
     def start(self, scene, concentration, index=0):
         self.c = concentration.copy()
@@ -70,29 +67,26 @@ class Leaving(Still):
         sys.exit(0)
 
 
-class Unmade:
-    Options = Still.Options
-    halo = 1
-
-
 class Haloless(Still):
     halo = property(lambda self: self.layers)
 
 
-class Loose:
+class Underived:
+    Options = Still.Options
+
+
+class Loose(Still):
     Options = dict
 
 
-class Aimless:
+class Unfinished(Mixing):
+    Options = Still.Options
+
+
+class Aimless(Flow):
     """A flow that returns no flow."""
 
     Options = Still.Options
-
-    def __init__(self, options):
-        pass
-
-    def check(self, geometry, speed):
-        pass
 
     def solve(self, scene, comm, progress, memory):
         return {"speed": 1.0}
@@ -103,6 +97,10 @@ class Doubtful(Aimless):
         return {}["speed"]
 
 
+class Astray(Aimless):
+    __init__ = Leaving.__init__
+
+
 class Crooked(registry.load("geometry", "drum")):
     """A geometry that fails at the corners of a grid, not when it is made."""
 
@@ -110,6 +108,16 @@ class Crooked(registry.load("geometry", "drum")):
         if points.ndim > 2:
             raise KeyError("corner")
         return super().signed_distance(points)
+
+
+class Bottomless(Geometry):
+    Options = Still.Options
+    signed_distance = volume_below = None
+
+    @staticmethod
+    def default_scene(options):
+        operation = {"speed": 1.0, "fill": {"volume_fraction": 0.4}}
+        return {"operation": operation, "mixing": {"name": "lax-wendroff"}}
 
 
 def returning(**values):
@@ -211,9 +219,11 @@ def test_a_backend_is_held_to_what_it_states(scene):
         (Drifting, ContractError, "broke its contract: component 1 went from"),
         (Dividing, UnforeseenError, r"ZeroDivisionError: .*test_misbehaving_plugins.py, line "),
         (Leaving, UnforeseenError, "failed with SystemExit: 0 "),
-        (Unmade, UnforeseenError, r"failed with TypeError: Unmade\(\) takes no arguments"),
         (Haloless, UnforeseenError, "no attribute 'layers'"),
-        (Loose, PluginError, "has Options that are no PluginOptions"),
+        (Underived, PluginError, "is no class derived from scaleup.contract.Mixing"),
+        (Aimless, PluginError, "is no class derived from scaleup.contract.Mixing"),
+        (Loose, PluginError, "has no class Options derived from scaleup.contract.PluginOptions"),
+        (Unfinished, PluginError, "does not define advance, concentration, stable_time_step, st"),
     ],
 )
 def test_a_run_names_the_mixing_backend_that_fails(store, registered, plugin, error, sentence):
@@ -227,7 +237,7 @@ def test_a_run_names_the_mixing_backend_that_fails(store, registered, plugin, er
     [
         (Aimless, "broke its contract: solve returned dict, and must a FlowField"),
         (Doubtful, "failed with KeyError: 'speed'"),
-        (Leaving, "failed with SystemExit: 0"),
+        (Astray, "failed with SystemExit: 0"),
     ],
 )
 def test_a_run_names_the_flow_that_fails(store, registered, plugin, sentence):
@@ -243,8 +253,8 @@ def test_a_geometry_is_named_wherever_it_fails(store, registered):
     name = registered("geometry", Crooked)
     with pytest.raises(UnforeseenError, match=r"the geometry 'crooked' .*KeyError: 'corner'"):
         obtain_flow(config_with("geometry", name), MPI.COMM_SELF)
-    name = registered("geometry", Leaving)
-    with pytest.raises(UnforeseenError, match=r"the geometry 'leaving' .* has no attribute"):
+    name = registered("geometry", Bottomless)
+    with pytest.raises(UnforeseenError, match=r"'bottomless' .* has no attribute 'volume'"):
         config_with("geometry", name)
 
 
@@ -253,7 +263,7 @@ def test_plugins_check_reports_them(registered):
         ("mixing", Drifting, "component 1 went from"),
         ("mixing", Leaving, "SystemExit"),
         ("flow", Doubtful, "KeyError"),
-        ("geometry", Leaving, "no attribute 'default_scene'"),
+        ("geometry", Leaving, "is no class derived from scaleup.contract.Geometry"),
     ):
         name = registered(kind, plugin)
         found = list(plugin_check.check_plugin(kind, name, [], MPI.COMM_SELF))
@@ -294,18 +304,17 @@ def test_a_traceback_is_shown_when_asked_for(monkeypatch, capsys, debug):
 
 
 PLUGIN = """
-from scaleup.contract import PluginOptions
+from scaleup.contract import Mixing, PluginOptions
 
-class Alone:
+class Alone(Mixing):
     class Options(PluginOptions):
         pass
     halo = 1
-    def __init__(self, options):
-        pass
     def start(self, scene, concentration, index=0):
         if scene.decomposition.comm.rank == 1:
             raise ZeroDivisionError("on one rank")
         scene.decomposition.total(1.0)  # where the others wait
+    advance = concentration = stable_time_step = start
 """
 
 

@@ -4,10 +4,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from scaleup.contract import Axis, FloatArray, InputError, PluginOptions, units
+from scaleup.contract import FloatArray, Geometry, InputError, PluginOptions, units
 
 
-class DoubleCone:
+class DoubleCone(Geometry):
     """A cylinder between two cones, turned about a horizontal axis across its middle.
 
     At rest the cones point up and down. The axis of rotation is z, gravity points along -y.
@@ -37,9 +37,6 @@ class DoubleCone:
         "grid": {"cells": 2e5},
     }
 
-    dimension = 3
-    depth = 1.0
-    axis = Axis()
     symmetry = ((0.0, 0.0, 1.0),)
 
     def __init__(self, options: Options):
@@ -49,6 +46,7 @@ class DoubleCone:
                 f"geometry.opening = {options.opening:g} m: must be below the diameter "
                 f"{options.diameter:g} m"
             )
+        super().__init__(options)
         wide, narrow = 0.5 * options.diameter, 0.5 * options.opening
         middle = 0.5 * options.cylinder
         top = middle + options.cone

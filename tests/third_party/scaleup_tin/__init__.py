@@ -5,10 +5,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from scaleup.contract import Axis, FloatArray, PluginOptions, units
+from scaleup.contract import FloatArray, Geometry, PluginOptions, units
 
 
-class Tin:
+class Tin(Geometry):
     """A tin on rollers."""
 
     class Options(PluginOptions):
@@ -25,9 +25,9 @@ class Tin:
     }
     dimension = 2
     depth = 0.1
-    axis = Axis()
 
     def __init__(self, options: Options):
+        super().__init__(options)
         r = self.reach = options.radius
         self.lower, self.upper = (-r, -r), (r, r)
         self.volume = math.pi * r**2 * self.depth
