@@ -117,6 +117,13 @@ def test_an_edited_configuration_is_refused_with_what_differs(killed, change, se
         read_state(checkpoint, configure(revolutions=0.05), changed_code=False)
 
 
+def test_a_vessel_whose_file_has_changed_is_another_run(killed, monkeypatch):
+    case = configure()
+    monkeypatch.setattr(type(case.geometry), "fingerprint", "of another shape")
+    with pytest.raises(InputError, match="the file of the vessel's shape has changed"):
+        read_state(work_folder(killed) / "checkpoint.h5", case, changed_code=False)
+
+
 def test_changed_code_goes_on_only_when_told_and_the_report_says_so(killed, monkeypatch):
     monkeypatch.setattr(source_hash, "of_run_code", lambda *plugins: "another")
     with pytest.raises(InputError, match="--changed-code"):
@@ -381,6 +388,36 @@ def test_a_damaged_flow_is_set_aside_and_solved_again(own_store, damage, caplog)
     assert obtain_flow(configure(), SELF).reused
 
 
+def test_two_runs_that_solve_the_same_flow_leave_one_that_is_whole(store, tmp_path):
+    program = (
+        "import sys\nfrom mpi4py import MPI\n"
+        "from scaleup.case.composing import compose\nfrom scaleup.flow.source import obtain_flow\n"
+        f"case = compose(None, {SCENE!r}, {NAMES!r})\n"
+        "sys.stdout.write('ready\\n')\nsys.stdout.flush()\nsys.stdin.readline()\n"
+        "assert not obtain_flow(case, MPI.COMM_SELF).reused\n"
+    )
+    environment = {**os.environ, "SCALEUP_CACHE": str(tmp_path)}
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    for process in both:
+        assert process.stdout.readline() == "ready\n"
+    for process in both:  # both look into the store before either has solved
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    assert [process.wait(timeout=120) for process in both] == [0, 0]
+    (kept,) = tmp_path.iterdir()
+    flow = storage.read_flow(kept)
+    assert len(flow.intervals[0].cells) > 1000
+
+
 def test_a_flow_in_use_outlives_its_name(own_store):
     flow = obtain_flow(configure(), SELF).flow
     before = flow.intervals[0].flux
@@ -548,6 +585,13 @@ def test_records_of_costs_that_are_damaged_do_no_harm(tmp_path, content):
     path = tmp_path / "costs.jsonl"
     path.write_bytes(content + json.dumps(line).encode() + b"\n" + good)
     assert [cost.cells for cost in costs.known(Store(tmp_path))] == [7]
+
+
+def test_records_of_costs_that_cannot_be_written_do_no_harm(own_store, quick, tmp_path):
+    (own_store.parent / "costs.jsonl").mkdir()
+    pipeline.run(configure(revolutions=0.1), tmp_path / "run", SELF)
+    warnings = json.loads((tmp_path / "run/report.json").read_text())["warnings"]
+    assert any("costs.jsonl" in sentence for sentence in warnings)
 
 
 @pytest.mark.parametrize("full", [True, False])
