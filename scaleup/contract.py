@@ -154,6 +154,15 @@ class Scene:
 class Flow(Plugin, kind="flow"):
     """A flow model: from a scene to a FlowField."""
 
+    forms: ClassVar[Mapping[str, type[PluginOptions]]] = {}
+    """where options exclude each other, the Options of each form that the model takes, by name:
+    they derive from `Options`, and the model is made with those of the form that a scene takes"""
+
+    @staticmethod
+    def form(geometry: Geometry, given: Mapping[str, Any]) -> str:
+        """The form for a vessel; `given`: the keys as they were written, not validated yet."""
+        return ""
+
     def check(self, geometry: Geometry, speed: float) -> None:
         """Raise InputError if the model cannot hold for this vessel and speed (rad/s). Cheap."""
 

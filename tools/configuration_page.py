@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from scaleup.case.config import PLUGIN_SECTIONS, RunConfig
+from scaleup.case.forms import options_by_form
 from scaleup.system import registry
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "configuration.md"
@@ -30,17 +33,21 @@ counter-clockwise: for the other way mirror the loading.
 """
 
 
-def _rows(model: type[BaseModel], prefix: str) -> list[str]:
+def _rows(fields: Mapping[str, FieldInfo], prefix: str) -> list[str]:
     rows = []
-    for name, field in model.model_fields.items():
+    for name, field in fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            rows += _rows(field.annotation, f"{prefix}{name}.")
+            rows += _rows(field.annotation.model_fields, f"{prefix}{name}.")
             continue
         default = field.get_default(call_default_factory=True)
         shown = "" if field.is_required() or default is None else f"`{_shown(default)}`"
         text = " ".join((field.description or "").split())
         rows.append(f"| `{prefix}{name}` | {shown} | {text} |")
     return rows
+
+
+def _table(fields: Mapping[str, FieldInfo], prefix: str) -> str:
+    return "\n".join(["| key | default | meaning |\n|---|---|---|", *_rows(fields, prefix)]) + "\n"
 
 
 def _shown(value: Any) -> str:
@@ -53,16 +60,16 @@ def page() -> str:
     for name, field in RunConfig.model_fields.items():
         if name in PLUGIN_SECTIONS:
             for plugin in registry.available(name):
-                options = registry.load(name, plugin).Options
                 parts.append(f'## [{name}] with name = "{plugin}"\n')
-                parts.append("| key | default | meaning |\n|---|---|---|")
-                parts.append("\n".join(_rows(options, f"{name}.")) + "\n")
+                for title, fields in options_by_form(registry.load(name, plugin)):
+                    if title != "options:":
+                        parts.append(f"{title[:1].upper()}{title[1:]}\n")
+                    parts.append(_table(fields, f"{name}."))
             continue
         model = field.annotation
         assert isinstance(model, type)
         parts.append(f"## [{name}]\n\n{' '.join((model.__doc__ or '').split())}\n")
-        parts.append("| key | default | meaning |\n|---|---|---|")
-        parts.append("\n".join(_rows(model, f"{name}.")) + "\n")
+        parts.append(_table(model.model_fields, f"{name}."))
     return "\n".join(parts)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from scaleup.contract import (
     GRAVITY,
@@ -34,7 +35,7 @@ class MohrCoulomb(Flow):
     """
 
     class Options(PluginOptions):
-        """Friction law, resolution and stopping rule."""
+        """Friction law and resolution."""
 
         rheology: Literal["mohr-coulomb", "mu-i", "regularised-mu-i"] = "mohr-coulomb"
         """constant friction, mu(I), or mu(I) made well-posed in slow flow"""
@@ -48,8 +49,6 @@ class MohrCoulomb(Flow):
         fine_size: units.Length | None = None
         """m, element size about the free surface; default 4 nonlocal_length, from reach/27 to
         reach/24; in space that of all elements, default reach/6"""
-        coarse_size: units.Length | None = None
-        """m, element size elsewhere; default reach/9; not in space"""
         time_step: units.Time | None = None
         """s; default sqrt(reach/g)/10, at most 1/(150 omega); in space sqrt(reach/g)/8"""
         nonlocal_length: units.Length | None = None
@@ -57,47 +56,55 @@ class MohrCoulomb(Flow):
         reach/108 if that is more; in space at least fine_size/4"""
         predictor_length: units.Length | None = None
         """m, over which stress beyond yield accelerates powder; default reach/10"""
+
+        @field_validator("friction_rise", "inertial_number_0")
+        @classmethod
+        def _constant_friction_does_not_rise(
+            cls, value: float | None, info: ValidationInfo
+        ) -> float | None:
+            if value is not None and info.data.get("rheology") == "mohr-coulomb":
+                raise ValueError(
+                    "belongs to the rheologies mu-i and regularised-mu-i; mohr-coulomb has "
+                    "constant friction"
+                )
+            return value
+
+    class PlaneOptions(Options):
+        """2-D, a drum's cross-section, to its steady mean flow."""
+
+        coarse_size: units.Length | None = None
+        """m, element size away from the free surface; default reach/9"""
         angle_tolerance: Annotated[units.Angle, Field(gt=0)] = 0.004363323129985824
         """rad (0.25 deg), standard error of the mean surface angle at which the run stops"""
         velocity_tolerance: Annotated[float, Field(gt=0)] = 0.02
         """standard error of the mean velocity, relative, at which the run stops"""
         time_limit: units.Time | None = None
         """s of flow after which the run stops anyway; default 140 sqrt(reach/g)"""
-
         start_up: bool = False
-        """2-D: begin with the solved first avalanche and swings, not with the mean flow"""
+        """begin with the solved first avalanche and swings, not with the mean flow"""
+
+    class SpaceOptions(Options):
+        """3-D, a vessel in space, with elements of one size, revolution by revolution."""
 
         intervals: Annotated[int, Field(ge=24, le=720)] = 60
-        """in space: of a revolution, in each of which the fluxes are constant"""
+        """of a revolution, in each of which the fluxes are constant"""
         revolutions: Annotated[int, Field(ge=2, le=20)] = 2
-        """in space: solved for at most, unless the last two agree before; the last one is the flow
-        that repeats"""
+        """solved for at most, unless the last two agree before; the last one is the flow that
+        repeats"""
 
-        @model_validator(mode="after")
-        def _constant_friction_does_not_rise(self) -> Self:
-            given = self.friction_rise is not None or self.inertial_number_0 is not None
-            if given and self.rheology == "mohr-coulomb":
-                raise ValueError(
-                    "friction_rise and inertial_number_0 belong to the rheologies mu-i and "
-                    "regularised-mu-i: mohr-coulomb has constant friction"
-                )
-            return self
+    forms: ClassVar = {"plane": PlaneOptions, "space": SpaceOptions}
+
+    @staticmethod
+    def form(geometry: Geometry, given: Mapping[str, Any]) -> str:
+        """By the vessel's dimension."""
+        return "plane" if geometry.dimension == 2 else "space"
 
     def check(self, geometry: Geometry, speed: float) -> None:
         """A plane scene must look the same at every phase; no powder may centrifuge."""
         self._check_resolution(geometry)
-        if geometry.dimension == 2:
+        if isinstance(self.options, self.PlaneOptions):
             require_drum("mohr-coulomb", geometry, speed, froude_below=1.0)
             return
-        if self.options.coarse_size is not None:
-            raise InputError(
-                f"flow.coarse_size = {units.LENGTH.shown(self.options.coarse_size)}: a vessel in "
-                "space has elements of one size; set flow.fine_size"
-            )
-        if self.options.start_up:
-            raise InputError(
-                "flow.start_up = true: for 2-D only; a flow in space begins with its start-up"
-            )
         if tuple(geometry.axis.direction) != (0.0, 0.0, 1.0):
             raise InputError("flow.name = 'mohr-coulomb': the axis of rotation must run along z")
         if tuple(geometry.axis.point[:2]) != (0.0, 0.0):
@@ -110,7 +117,7 @@ class MohrCoulomb(Flow):
         """Sizes and steps with which a solution has an end. Raises InputError."""
         reach, finest = geometry.reach, _FINEST[geometry.dimension]
         for key in ("fine_size", "coarse_size", "nonlocal_length", "predictor_length"):
-            size = getattr(self.options, key)
+            size = getattr(self.options, key, None)
             least = 0.0 if key == "nonlocal_length" else reach / finest
             if size is not None and not least <= size <= reach / _COARSEST:
                 raise InputError(
@@ -118,11 +125,8 @@ class MohrCoulomb(Flow):
                     f"{units.LENGTH.shown(least)} to {units.LENGTH.shown(reach / _COARSEST)} in a "
                     f"vessel that reaches {units.LENGTH.shown(reach)}"
                 )
-        fall, step, limit = (
-            math.sqrt(reach / GRAVITY),
-            self.options.time_step,
-            self.options.time_limit,
-        )
+        fall, step = math.sqrt(reach / GRAVITY), self.options.time_step
+        limit = getattr(self.options, "time_limit", None)
         if step is not None and not fall / _MOST_STEPS <= step <= fall:
             raise InputError(
                 f"flow.time_step = {step:g} s: must be from {fall / _MOST_STEPS:.2g} s to the time "
@@ -148,17 +152,18 @@ class MohrCoulomb(Flow):
         """The steady bed of a drum's cross-section (kept without the grid, so that any grid can
         reuse it), or the periodic flow of a vessel in space, on all ranks.
         """
-        if scene.geometry.dimension == 3:
+        options = self.options
+        if isinstance(options, self.SpaceOptions):
             from scaleup_mohr_coulomb.vessel_solve import vessel_flow
 
-            return vessel_flow(scene, self.options, comm, progress, memory)
+            return vessel_flow(scene, options, comm, progress, memory)
 
         def work() -> FlowField:
             from scaleup_mohr_coulomb.on_grid import flow_field
             from scaleup_mohr_coulomb.solve import steady_bed
             from scaleup_mohr_coulomb.start_up import with_start_up
 
-            bed = steady_bed(scene, self.options, progress, memory)
+            bed = steady_bed(scene, options, progress, memory)
             flow = flow_field(bed, scene)
             if bed.start_up is None:
                 return flow

@@ -29,7 +29,7 @@ _FIELDS = ("velocity", "level_set", "mesh", "start_up")  # of a bed, kept apart 
 
 
 def steady_bed(
-    scene: Scene, options: MohrCoulomb.Options, progress: Progress, memory: Memory
+    scene: Scene, options: MohrCoulomb.PlaneOptions, progress: Progress, memory: Memory
 ) -> SteadyBed:
     """The time-mean bed of the scene, whatever its grid.
 

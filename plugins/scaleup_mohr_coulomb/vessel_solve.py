@@ -24,7 +24,7 @@ _STEPS = 8.0  # in sqrt(reach/g)
 _START = 0.75  # of the friction angle, up to which the level bed turns rigidly
 
 
-def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisation:
+def numerics_in_space(scene: Scene, options: MohrCoulomb.SpaceOptions) -> Discretisation:
     """The method's rules (`parameters.Discretisation`), for meshes of one element size.
 
     Element size h = R/6 and time step sqrt(R/g)/8, for vessels that turn for whole revolutions on a
@@ -49,7 +49,7 @@ def numerics_in_space(scene: Scene, options: MohrCoulomb.Options) -> Discretisat
 
 
 def vessel_flow(
-    scene: Scene, options: MohrCoulomb.Options, comm: Any, progress: Progress, memory: Memory
+    scene: Scene, options: MohrCoulomb.SpaceOptions, comm: Any, progress: Progress, memory: Memory
 ) -> FlowField | None:
     """Solve for a periodic flow in the vessel's frame; collective, the FlowField on rank 0.
 

@@ -136,7 +136,7 @@ def rolling_bed(
     material: Material,
     speed: float,
     fill_volume: float,
-    options: SurfaceLayer.Options,
+    options: SurfaceLayer.ClosedFormOptions,
 ) -> RollingBed:
     """The bed of a scene: b from the fill, angle atan(mu), closure from the options."""
     return RollingBed(
@@ -146,11 +146,11 @@ def rolling_bed(
         math.atan(material.friction),
         options.closure,
         layer_shear_rate(material, options),
-        options.thickness if options.closure == "parabolic" else None,
+        options.thickness,
     )
 
 
-def drum_flow(scene: Scene, options: SurfaceLayer.Options) -> FlowField:
+def drum_flow(scene: Scene, options: SurfaceLayer.ClosedFormOptions) -> FlowField:
     """The steady lab-frame FlowField of the rolling bed on the scene's grid."""
     grid = scene.grid
     bed = rolling_bed(scene.geometry, scene.material, scene.speed, scene.fill_volume, options)

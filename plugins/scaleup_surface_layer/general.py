@@ -35,7 +35,7 @@ _ACROSS = 72  # columns across the vessel, at most, unless asked for
 
 
 def general_flow(
-    scene: Scene, options: SurfaceLayer.Options, comm: Any, progress: Progress
+    scene: Scene, options: SurfaceLayer.GeneralOptions, comm: Any, progress: Progress
 ) -> FlowField:
     """The flow from the settled level bed on, then one revolution that repeats (collective).
 
@@ -91,7 +91,7 @@ def general_flow(
     )
 
 
-def _frame(scene: Scene, options: SurfaceLayer.Options) -> VesselFrame:
+def _frame(scene: Scene, options: SurfaceLayer.GeneralOptions) -> VesselFrame:
     """The vessel on its grid, or the upper half of one that is its own mirror image."""
     grid, columns = scene.grid, lab_columns(scene, options)
     volume, half = scene.fill_volume, upper_half(scene.geometry, grid)
@@ -103,7 +103,7 @@ def _frame(scene: Scene, options: SurfaceLayer.Options) -> VesselFrame:
 
 def _bed(
     scene: Scene,
-    options: SurfaceLayer.Options,
+    options: SurfaceLayer.GeneralOptions,
     frame: VesselFrame,
     per_revolution: int,
     comm: Any,
@@ -146,7 +146,7 @@ def _share(count: int, rank: int, size: int) -> range:
     return range(edges[rank], edges[rank + 1])
 
 
-def lab_columns(scene: Scene, options: SurfaceLayer.Options) -> Columns:
+def lab_columns(scene: Scene, options: SurfaceLayer.GeneralOptions) -> Columns:
     """Columns over everything that the vessel sweeps, of the asked or a suitable spacing."""
     geometry, grid = scene.geometry, scene.grid
     reach = geometry.reach

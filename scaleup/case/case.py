@@ -7,7 +7,10 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
-from scaleup.case.config import Accuracy, Output, RunConfig
+import tomli_w
+
+from scaleup.case.config import PLUGIN_SECTIONS, Accuracy, Output, RunConfig
+from scaleup.case.validating import validated_options
 from scaleup.case.vessel_shape import Bed, level_height
 from scaleup.contract import Diffusion, Flow, Geometry, Grid, Material, Mixing
 from scaleup.scene.models import Operation
@@ -79,9 +82,36 @@ class Case:
         """The chosen plugin."""
         return registry.load(kind, self.name(kind))
 
+    def form(self, kind: Kind) -> str:
+        """The form in which the chosen plugin takes its options; "" of one that has a single one.
+
+        Raises ContractError.
+        """
+        plugin = self.plugin_class(kind)
+        if kind != "flow" or not getattr(plugin, "forms", None):
+            return ""
+        name = plugin.form(self.geometry, self._given(kind))
+        if name not in plugin.forms:
+            known = ", ".join(plugin.forms)
+            raise ContractError(f"form must return one of {known}, not {shown(name)}")
+        return str(name)
+
     def options(self, kind: Kind) -> Any:
-        """The chosen plugin's validated Options."""
-        return self.config.options(kind)
+        """The chosen plugin's Options. Raises InputError: key = value: rule."""
+        plugin = self.plugin_class(kind)
+        with blamed_on(kind, self.name(kind)):
+            return validated_options(plugin, self.form(kind), self._given(kind), kind)
+
+    def _given(self, kind: Kind) -> dict[str, Any]:
+        return {key: value for key, value in getattr(self.config, kind).items() if key != "name"}
+
+    def to_toml(self) -> str:
+        """The whole configuration; read again it gives this same run."""
+        tables: dict[str, Any] = self.config.model_dump(mode="json", exclude_none=True)
+        for kind in PLUGIN_SECTIONS:
+            options = self.options(kind).model_dump(mode="json", exclude_none=True)
+            tables[kind] = {"name": self.name(kind), **options}
+        return tomli_w.dumps(tables)
 
     @cached_property
     def geometry(self) -> Geometry:

@@ -16,8 +16,9 @@ from typing import Any
 from scaleup.case.case import Case
 from scaleup.case.config import PLUGIN_SECTIONS, RunConfig
 from scaleup.case.feasibility import component_count, require_feasible
+from scaleup.case.forms import forms_of
 from scaleup.case.layers import assigned, merged, nested, read_layer, spelt_out
-from scaleup.case.validating import field_at, quantity_read, validated
+from scaleup.case.validating import field_at, quantity_read, validated, validated_options
 from scaleup.scene.units import Quantity, in_likely_units
 from scaleup.system import registry
 from scaleup.system.blame import blamed_on
@@ -80,9 +81,7 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ca
         registry.load(kind, _text(f"{kind}.name", section["name"]))
     case = Case(validated(RunConfig, base, ""))
     for kind in PLUGIN_SECTIONS:
-        section = dict(base[kind])
-        plugin = registry.load(kind, section.pop("name"))
-        validated(plugin.Options, section, f"{kind}.")
+        case.options(kind)  # they may be refused
     with blamed_on("geometry", case.name("geometry")):
         require_feasible(case)
     _mixing_accepts(case)
@@ -132,7 +131,8 @@ def _quantity_at(user: Mapping[str, Any], path: Sequence[str]) -> Quantity | Non
     if path[0] in PLUGIN_SECTIONS:
         kind: Kind = path[0]  # type: ignore[assignment]
         names = [_section(user, kind).get("name"), *registry.available(kind)]
-        models = [registry.load(kind, n).Options for n in names if n in registry.available(kind)]
+        plugins = [registry.load(kind, n) for n in names if n in registry.available(kind)]
+        models = [form for plugin in plugins for form in forms_of(plugin).values()]
         path = path[1:]
     fields = [field_at(model, path) for model in models]
     return next((quantity_read(field) for field in fields if field is not None), None)
@@ -146,8 +146,7 @@ def plugin_options(kind: Kind, name: str, assignments: Iterable[str]) -> Any:
     for section in tables:
         if section != kind:
             raise InputError(f"--set {section}: only keys of {kind} can be set here")
-    plugin = registry.load(kind, name)
-    return validated(plugin.Options, tables.get(kind, {}), f"{kind}.")
+    return validated_options(registry.load(kind, name), "", tables.get(kind, {}), kind)
 
 
 def _default_scene(geometry: Any, user: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -156,7 +155,7 @@ def _default_scene(geometry: Any, user: Mapping[str, Any]) -> Mapping[str, Any]:
     if not callable(scene):
         return dict(scene)
     options = {key: value for key, value in _section(user, "geometry").items() if key != "name"}
-    return dict(scene(validated(geometry.Options, options, "geometry.")))
+    return dict(scene(validated_options(geometry, "", options, "geometry")))
 
 
 def _section(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-import tomli_w
 from pydantic import Field, model_validator
 
 from scaleup.scene import units
 from scaleup.scene.models import Diffusion, Material, Model, Operation, SmallShare
-from scaleup.system import registry
 from scaleup.system.registry import Kind
 
 PLUGIN_SECTIONS: tuple[Kind, ...] = ("geometry", "flow", "mixing")
@@ -70,17 +68,3 @@ class RunConfig(Model):
     grid: GridChoice
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
-
-    def options(self, kind: Kind) -> Any:
-        """The chosen plugin's validated Options."""
-        section = dict(getattr(self, kind))
-        plugin = registry.load(kind, section.pop("name"))
-        return plugin.Options.model_validate(section)
-
-    def to_toml(self) -> str:
-        """The whole configuration; read again it gives this same run."""
-        tables: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
-        for kind in PLUGIN_SECTIONS:
-            options = self.options(kind).model_dump(mode="json", exclude_none=True)
-            tables[kind] = {"name": getattr(self, kind)["name"], **options}
-        return tomli_w.dumps(tables)

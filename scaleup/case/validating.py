@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from scaleup.case.forms import about_form, form_with, forms_of
 from scaleup.scene.units import Quantity, quantity_of
 from scaleup.system.errors import InputError, did_you_mean, shortened, shown
 
@@ -21,6 +22,19 @@ def validated(model: type[Any], data: Mapping[str, Any], prefix: str) -> Any:
     except OSError as error:  # a file's name that the system cannot even look up
         key = prefix + ".".join(_path_to(str(error.filename), data) or ["file"])
         raise InputError(f"{key} = {shown(error.filename)}: {error.strerror}") from None
+
+
+def validated_options(plugin: Any, form: str, given: Mapping[str, Any], kind: str) -> Any:
+    """A plugin's Options in one of its forms. Raises InputError: key = value: rule."""
+    model = forms_of(plugin).get(form, plugin.Options)
+    for key in given.keys() - model.model_fields.keys():
+        other = form_with(plugin, key)
+        if other is not None:
+            raise InputError(
+                f"{kind}.{key} = {shown(given[key])}: belongs to the form {other!r} "
+                f"({about_form(plugin, other)}), and this scene takes the form {form!r}"
+            )
+    return validated(model, given, f"{kind}.")
 
 
 def _path_to(value: Any, tables: Any) -> list[str] | None:

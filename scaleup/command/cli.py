@@ -20,6 +20,7 @@ import scaleup
 from scaleup.case.case import Case
 from scaleup.case.composing import compose, plugin_options
 from scaleup.case.config import PLUGIN_SECTIONS
+from scaleup.case.forms import options_by_form
 from scaleup.system import registry
 from scaleup.system.blame import told
 from scaleup.system.errors import InputError, ScaleupError, shown
@@ -281,12 +282,13 @@ def show_plugin(name: str) -> None:
         plugin = registry.load(kind, name)
         click.echo(f"{kind} {name}")
         click.echo(_indented(plugin.__doc__))
-        click.echo("options:")
-        for key, field in plugin.Options.model_fields.items():
-            default = "(required)" if field.is_required() else repr(field.default)
-            click.echo(f"  {kind}.{key} = {default}")
-            if field.description:
-                click.echo(f"      {' '.join(field.description.split())}")
+        for title, fields in options_by_form(plugin):
+            click.echo(title)
+            for key, field in fields.items():
+                default = "(required)" if field.is_required() else repr(field.default)
+                click.echo(f"  {kind}.{key} = {default}")
+                if field.description:
+                    click.echo(f"      {' '.join(field.description.split())}")
 
 
 @plugins.command("new")

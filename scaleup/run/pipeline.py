@@ -51,7 +51,7 @@ def run(
             on_root(
                 comm, partial(check_output, folder, overwrite=overwrite, resume=resume, extend=True)
             )
-            work = on_root(comm, partial(open_folder, folder, case.config.to_toml(), resume=resume))
+            work = on_root(comm, partial(open_folder, folder, case.to_toml(), resume=resume))
             with _logged_to(work / "run.log", comm):
                 blending = partial(mix, case, comm=comm, force=force, stopping=stopping,
                                    changed_code=changed_code, crew=crew)  # fmt: skip

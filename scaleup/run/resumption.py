@@ -34,7 +34,7 @@ def identity(case: Case) -> dict[str, Any]:
     """What makes a run the one that it is, JSON-like: `config` and `code`."""
     plugins = [case.plugin_class(kind) for kind in PLUGIN_SECTIONS]
     return {
-        "config": tomllib.loads(case.config.to_toml()),
+        "config": tomllib.loads(case.to_toml()),
         "shape": case.geometry.fingerprint,
         "code": source_hash.of_run_code(*plugins),
     }

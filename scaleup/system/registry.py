@@ -98,6 +98,9 @@ def _lack(kind: Kind, plugin: Any) -> str:
     options = getattr(plugin, "Options", None)
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
         return "has no class Options derived from scaleup.contract.PluginOptions"
+    forms = getattr(plugin, "forms", {}).values()
+    if not all(isinstance(form, type) and issubclass(form, options) for form in forms):
+        return "has forms that do not derive from its Options"
     return ""
 
 

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from scaleup.case.composing import compose
 from scaleup.case.config import PLUGIN_SECTIONS, RunConfig
+from scaleup.case.forms import forms_of
 from scaleup.run import pipeline
 from scaleup.scene.units import quantity_of
 from scaleup.system import registry
@@ -37,7 +38,8 @@ KEYS = sorted(
         (kind, *key)
         for kind in PLUGIN_SECTIONS
         for name in registry.available(kind)
-        for key, _ in keys_of(registry.load(kind, name).Options)
+        for form in forms_of(registry.load(kind, name)).values()
+        for key, _ in keys_of(form)
     }
 )
 NUMBERS = (
@@ -97,7 +99,8 @@ def scenes(draw):
     names = [draw(st.sampled_from(known)) for known in (GEOMETRIES, FLOWS, MIXINGS)]
     fields = {key: field for key, field in keys_of(RunConfig) if key[0] not in PLUGIN_SECTIONS}
     for kind, name in zip(PLUGIN_SECTIONS, names, strict=True):
-        fields |= {(kind, *k): field for k, field in keys_of(registry.load(kind, name).Options)}
+        for form in forms_of(registry.load(kind, name)).values():
+            fields |= {(kind, *k): field for k, field in keys_of(form)}
     leaves = sorted(
         key for key, field in fields.items() if not hasattr(field.annotation, "model_fields")
     )
@@ -153,11 +156,11 @@ def outcome_is_sound(box, geometry, flow, mixing, changes, assignments):
         named = [*SECTIONS, "--set", *(path[0][:20] for path, _ in changes)]
         assert any(name in said for name in named), said
         return
-    written = case.config.to_toml()
+    written = case.to_toml()
     file = box.with_name("config.toml")
     file.write_text(written, encoding="utf-8")
     again = compose(file)
-    assert again.config.to_toml() == written
+    assert again.to_toml() == written
     assert [again.options(kind) for kind in PLUGIN_SECTIONS] == [
         case.options(kind) for kind in PLUGIN_SECTIONS
     ]

@@ -64,10 +64,10 @@ def test_baffles_that_take_the_layers_way_are_refused():
 def test_both_forms_have_the_same_detectors():
     """Fine grains in a large, slow drum: faster than half of a frictionless fall."""
     large = ("flow.name=surface-layer", "geometry.size=plant", "grid.cells=600")
-    fine = ("material.grain_diameter='50 um'", "flow.intervals=40")
+    fine = "material.grain_diameter='50 um'"
     said, figures = [], []
-    for form in ("closed-form", "general"):
-        _, flow = solved(*large, *fine, f"flow.model={form}")
+    for form in (["flow.model=closed-form"], ["flow.model=general", "flow.intervals=40"]):
+        _, flow = solved(*large, fine, *form)
         said.append(" ".join(flow.warnings))
         figures.append(flow.summary)
     names = [name for name in figures[1] if name.startswith("detector_")]

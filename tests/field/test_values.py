@@ -8,6 +8,7 @@ from scaleup.system.errors import InputError
 
 REGION = ("operation.loading.pattern=region", "operation.loading.centre=['0 mm', '{y} mm']",
           "operation.loading.radius={r} mm")  # fmt: skip
+GENERAL = ("flow.model=general",)
 THREE = ("operation.loading.shares=[0.2, 0.3, 0.5]",)
 
 
@@ -38,7 +39,12 @@ def region(y, r):
         (region(-50, 0.1), "the region holds 0.35 cells"),
         (region(-50, 150), "the region is the whole bed; there is nothing to blend"),
         (region(-50, 5000), "the region is the whole bed"),
-        (["flow.column_spacing=1 um"], "flow.column_spacing = 1 um: must be from 0.14 mm to 14 mm"),
+        (["flow.intervals=40"], "flow.intervals = 40: belongs to the form 'general' (any vessel"),
+        ([*GENERAL, "flow.thickness=5 mm"], "belongs to the form 'closed-form' (a drum"),
+        (["flow.thickness=5 mm"], "flow.thickness = '5 mm': belongs to the closure 'parabolic'"),
+        (["flow.name=mohr-coulomb", "flow.revolutions=3"], "this scene takes the form 'plane'"),
+        ([*GENERAL, "flow.column_spacing=3"], "reaches 70 mm; did you mean \"3 mm\"?"),
+        ([*GENERAL, "flow.column_spacing=1 um"], "spacing = 1 um: must be from 0.14 mm to 14 mm"),
         (["flow.name=mohr-coulomb", "flow.fine_size=1 um"], "must be from 0.14 mm to 23.33 mm"),
         (["flow.name=mohr-coulomb", "flow.time_step=1 ns"], "flow.time_step = 1e-09 s: must be"),
         (["mixing.name=implicit-fem", "mixing.petsc_options=hello"], "'hello' is no option"),

@@ -34,9 +34,9 @@ def test_a_run_is_reproduced_by_its_own_file(tmp_path):
         FAST,
     )  # fmt: skip
     file = tmp_path / "config.toml"
-    file.write_text(case.config.to_toml(), encoding="utf-8")
+    file.write_text(case.to_toml(), encoding="utf-8")
     again = compose(file)
-    assert again.config.to_toml() == case.config.to_toml()
+    assert again.to_toml() == case.to_toml()
     assert again.operation == case.operation
     assert again.options("geometry").diameter == 0.2
 

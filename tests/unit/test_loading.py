@@ -130,7 +130,7 @@ def test_a_run_with_a_loading_file_is_reproduced_by_its_own_configuration(tmp_pa
     (tmp_path / "c.csv").write_text("x,y,a\n0,0,1\n0.01,0,0\n")
     texts = ["operation.loading.pattern=file", f"operation.loading.file={tmp_path / 'c.csv'}"]
     case = compose(None, texts, {"flow": {"name": "surface-layer"}})
-    (tmp_path / "config.toml").write_text(case.config.to_toml())
+    (tmp_path / "config.toml").write_text(case.to_toml())
     assert compose(tmp_path / "config.toml").operation == case.operation
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.create_group("snapshots")

@@ -245,7 +245,7 @@ def test_a_turned_bed_becomes_a_periodic_flow_field(drum, mirrored):
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        (["flow.coarse_size='20 mm'"], "elements of one size"),
+        (["flow.coarse_size='20 mm'"], "belongs to the form 'plane' .* takes the form 'space'"),
         (["flow.fine_size='30 mm'"], "must be from 1.167 mm to 23.33 mm"),
         (["flow.time_step='1 us'"], "must be from 4.2e-05 s"),
     ],

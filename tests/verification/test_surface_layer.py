@@ -30,7 +30,7 @@ def general(vessel, cells, fill, speed=SPEED, **options):
     """The general model's flow in a vessel `cells` across, filled to a share of its volume."""
     grid = grid_over(vessel.lower, vessel.upper, 2 * vessel.reach / cells, vessel.depth)
     scene = Scene(vessel, Material(), speed, fill * vessel.volume, grid)
-    plugin = SurfaceLayer(SurfaceLayer.Options(model="general", **options))
+    plugin = SurfaceLayer(SurfaceLayer.GeneralOptions(**options))
     plugin.check(vessel, speed)
     return plugin.solve(scene, MPI.COMM_SELF, lambda share, message: None, None)
 
