@@ -88,7 +88,7 @@ class Case:
         Raises ContractError.
         """
         plugin = self.plugin_class(kind)
-        if kind != "flow" or not getattr(plugin, "forms", None):
+        if kind != "flow" or not plugin.forms:
             return ""
         name = plugin.form(self.geometry, self._given(kind))
         if name not in plugin.forms:
