@@ -26,6 +26,7 @@ from scaleup.scene.models import GRAVITY, Diffusion, Loading, Material
 from scaleup.scene.models import Model as PluginOptions
 from scaleup.space.flow_field import Axis, FlowField, Interval
 from scaleup.space.grid import BoolArray, FloatArray, Grid, IntArray
+from scaleup.space.solids import FlatSolid, TurnedSolid
 from scaleup.system.errors import ContractError, InputError, RunError
 from scaleup.system.registry import Plugin
 
@@ -38,6 +39,7 @@ __all__ = [
     "BoolArray",
     "ContractError",
     "Diffusion",
+    "FlatSolid",
     "FloatArray",
     "Flow",
     "FlowField",
@@ -56,6 +58,7 @@ __all__ = [
     "Progress",
     "RunError",
     "Scene",
+    "TurnedSolid",
     "units",
 ]
 
@@ -122,9 +125,9 @@ class Geometry(Plugin, kind="geometry"):
         """m^3 of the vessel at rest below the level y = height (m)."""
 
     def solid(self) -> Any:
-        """The inside as a netgen OCC shape (a face in 2-D), for meshing, in m.
+        """The inside, for meshing, in m: a `FlatSolid`, a `TurnedSolid` or a netgen OCC shape.
 
-        Raises InputError if there is none.
+        A cross-section's is an OCC face. Raises InputError if there is none.
         """
         raise InputError(
             f"geometry: {type(self).__name__} gives no solid to mesh; take a flow that needs none"

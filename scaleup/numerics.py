@@ -16,6 +16,7 @@ from scaleup.mixing.flux_correction import FluxCorrection
 from scaleup.mixing.transport import ExplicitBackend, ExplicitTransport
 from scaleup.space.closed_surface import ClosedSurface
 from scaleup.space.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
+from scaleup.space.convex_hull import mirrored_in_z, outward_hull
 from scaleup.space.cut_cells import cut_fraction, cut_fraction_of_cells, fill_to_volume
 from scaleup.space.flow_field import interval_from_dense
 from scaleup.space.grid import FULL, grid_over
@@ -23,6 +24,8 @@ from scaleup.space.merged_cells import neighbours_below
 from scaleup.space.spread import spread_outwards
 from scaleup.space.symmetric_solve import SymmetricSolver
 from scaleup.system.parallel import on_each, on_root, on_root_alone
+from scaleup.vessels.convex_polyhedron import ConvexPolyhedron, corners_within
+from scaleup.vessels.revolved import Revolved
 
 __all__ = [
     "BRIDGE",
@@ -31,13 +34,16 @@ __all__ = [
     "CompactInterval",
     "CompactIntervals",
     "ConservativeBed",
+    "ConvexPolyhedron",
     "ExplicitBackend",
     "ExplicitTransport",
     "FluxCorrection",
     "GroupsHere",
     "MirroredParts",
+    "Revolved",
     "SymmetricSolver",
     "bed_depth",
+    "corners_within",
     "critical_height",
     "cut_fraction",
     "cut_fraction_of_cells",
@@ -50,10 +56,12 @@ __all__ = [
     "is_circle",
     "level_height",
     "lifted_lean",
+    "mirrored_in_z",
     "neighbours_below",
     "on_each",
     "on_root",
     "on_root_alone",
+    "outward_hull",
     "require_drum",
     "require_rolling",
     "runs_of",

@@ -22,8 +22,8 @@ import igl
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from scaleup.contract import FloatArray, InputError, IntArray
-from scaleup.numerics import ClosedSurface
+from scaleup.contract import FloatArray, InputError
+from scaleup.numerics import ClosedSurface, mirrored_in_z, outward_hull
 
 _BALL_POINTS = 4000
 _MM = 1e-3  # m
@@ -63,10 +63,14 @@ class Bin:
         self.radius = size.edge_radius
         self._planes = _planes(self.dimensions)
         core = _core(self._planes, self.dimensions)
-        hull, surface = _outward(core)
+        hull, surface = outward_hull(core)
         self._surface = surface
         self.volume = _steiner(hull, core, self.radius)
-        skin = _outward(core[:, None, :] + self.radius * _ball_points())[1] if self.radius else None
+        skin = (
+            outward_hull(core[:, None, :] + self.radius * _ball_points())[1]
+            if self.radius
+            else None
+        )
         whole = ClosedSurface(*(skin or surface))
         self._scale = self.volume / whole.volume
         self.axis_height = axis_height or float(whole.centroid[1])
@@ -75,7 +79,7 @@ class Bin:
         self.lower = tuple(float(x) for x in corners.min(axis=0) - self.radius)
         self.upper = tuple(float(x) for x in corners.max(axis=0) + self.radius)
         self.reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + self.radius
-        self.is_mirrored = _mirrored(corners)
+        self.is_mirrored = mirrored_in_z(corners)
         vertices, faces = skin or surface
         self._skin = ClosedSurface(self.to_vessel(vertices), faces)
 
@@ -172,9 +176,9 @@ class Baffle:
                 f"geometry.baffle: a plate of {thickness:.3g} x {height:.3g} x {width:.3g} m "
                 "across the axis does not lie inside the bin; make it smaller"
             )
-        self.is_mirrored = _mirrored(corners)
+        self.is_mirrored = mirrored_in_z(corners)
         self._offset = np.array([0.0, bin_.axis_height, 0.0])
-        self._surface = ClosedSurface(corners, _outward(corners)[1][1])
+        self._surface = ClosedSurface(corners, outward_hull(corners)[1][1])
 
     def cut_from(self, wall: FloatArray, points: FloatArray) -> FloatArray:
         """The lesser of `wall` and the distance to the plate, m; points (..., 3) of the vessel."""
@@ -229,18 +233,6 @@ def _core(planes: FloatArray, size: Size) -> FloatArray:
     return np.asarray(corners)
 
 
-def _outward(points: FloatArray) -> tuple[ConvexHull, tuple[FloatArray, IntArray]]:
-    """The convex hull of points (..., 3) and its triangles, seen anticlockwise from outside."""
-    points = points.reshape(-1, 3)
-    hull = ConvexHull(points)
-    faces = hull.simplices.astype(np.int64)
-    corner = points[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    inwards = np.einsum("ij,ij->i", normal, hull.equations[:, :3]) < 0
-    faces[inwards] = faces[inwards][:, ::-1]
-    return hull, (points, faces)
-
-
 def _steiner(hull: ConvexHull, points: FloatArray, radius: float) -> float:
     """Volume of the hull grown by balls of `radius`, m^3."""
     bend = 0.0  # every edge lies between two triangles, each of which counts half of it
@@ -281,10 +273,3 @@ def _rotation(tilt: float, turn: float) -> FloatArray:
         ]
     )
     return about_x @ about_y
-
-
-def _mirrored(corners: FloatArray) -> bool:
-    """Whether the set of corners (n, 3) is its own mirror image in z = 0."""
-    image = corners * np.array([1.0, 1.0, -1.0])
-    gap = np.linalg.norm(corners[:, None, :] - image[None, :, :], axis=-1).min(axis=1)
-    return bool(gap.max() < 1e-9 * float(np.abs(corners).max()))

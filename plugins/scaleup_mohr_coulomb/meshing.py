@@ -1,13 +1,44 @@
-"""Netgen at work: what it fails at is said in one sentence."""
+"""Netgen at work: shapes of solids, and one sentence on what it fails at."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from netgen.occ import OCCGeometry
+import numpy as np
+from netgen.occ import Axis, Dir, Face, OCCGeometry, Pnt, Segment, Sew, Solid, Wire
 
-from scaleup.contract import InputError
+from scaleup.contract import FlatSolid, InputError, TurnedSolid
+
+WALL = "wall"
+
+
+def occ_shape(solid: Any) -> Any:
+    """The netgen OCC shape of what `Geometry.solid` gives."""
+    if isinstance(solid, FlatSolid):
+        shape = Solid(Sew([_face(corners) for corners in solid.faces]))
+    elif isinstance(solid, TurnedSolid):
+        shape = _turned(solid)
+    else:
+        return solid
+    shape.faces.name = WALL
+    return shape
+
+
+def _turned(solid: TurnedSolid) -> Any:
+    """The half-plane between the axis and the profile, turned once."""
+    outwards = np.linalg.svd(solid.direction[None, :])[2][1]
+    heights, radii = np.pad(solid.heights, 1, mode="edge"), np.pad(solid.radii, 1)
+    outline = heights[:, None] * solid.direction + radii[:, None] * outwards
+    axis = Axis(Pnt(*solid.origin), Dir(*solid.direction))
+    return _face(solid.origin + outline).Revolve(axis, 360.0)
+
+
+def _face(corners: Any) -> Any:
+    """The plane face within a polygon (n, 3); corners that repeat count once."""
+    kept = [corner for k, corner in enumerate(corners) if np.any(corner != corners[k - 1])]
+    points = [Pnt(*corner) for corner in kept]
+    return Face(Wire([Segment(points[k - 1], points[k]) for k in range(len(points))]))
 
 
 def occ_geometry(shape: Callable[[], Any], **settings: Any) -> Any:

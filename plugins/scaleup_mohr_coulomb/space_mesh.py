@@ -11,15 +11,15 @@ from netgen.occ import Box, Pnt
 
 from scaleup.numerics import on_each, on_root
 
-from .meshing import meshed, occ_geometry
+from .meshing import WALL, meshed, occ_geometry, occ_shape
 
-WALL, _MIRROR = "wall", "mirror"
+_MIRROR = "mirror"
 _GRADING = 0.5
 _FLAT = 1e-5  # of the vessel's extent: a face no thicker lies in a plane
 
 
 def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any, mirrored: bool) -> Any:
-    """Tetrahedra of ``size`` (m) in the netgen OCC ``solid()``; curved walls to second order.
+    """Tetrahedra of ``size`` (m) in the ``solid()`` of a vessel; curved walls to second order.
 
     Of a ``mirrored`` vessel only the half at z > 0 is meshed, bounded by its WALL and a plane.  On
     several ranks the first makes the mesh and, up to NGSolve 6.2.2608, keeps none of its elements.
@@ -28,7 +28,8 @@ def vessel_mesh(solid: Callable[[], Any], size: float, comm: Any, mirrored: bool
     ngs.SetNumThreads(1)
 
     def shape() -> Any:
-        return _upper_half(solid()) if mirrored else solid()
+        whole = occ_shape(solid())
+        return _upper_half(whole) if mirrored else whole
 
     geometry = on_each(comm, lambda: occ_geometry(shape))
     made: list[Any] = []
