@@ -90,6 +90,12 @@ def test_names_within_scaleup_exist():
     assert not missing
 
 
+def test_every_room_is_described():
+    page = (REPOSITORY / "docs/architecture.md").read_text(encoding="utf-8")
+    rooms = {path.parent.name for path in (REPOSITORY / "scaleup").glob("*/__init__.py")}
+    assert rooms <= set(re.findall(r"\*\*(\w+)\*\*", page))
+
+
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
 def test_examples_in_docstrings(module, store):
     assert doctest.testmod(import_module(module)).failed == 0
