@@ -22,9 +22,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpi4py import MPI
 
+from scaleup.mixing.scene import mixing_scene
 from scaleup.system import registry
 from scaleup.verification import problems, run
-from scaleup.verification.study import scene_of
 
 CELLS_ACROSS = 320  # sigma = 0.05 of the diameter: 16 cells
 MULTIPLES = (2, 5, 10, 20, 50, 100)
@@ -73,7 +73,7 @@ def steps(name: str, n: int, comm: Any, **options: Any) -> tuple[int, float, int
     """(active cells, seconds, iterations) of a step after the first."""
     problem = problems()[name]
     flow, backend = problem.flow(n), make("implicit-fem", **options)
-    backend.start(scene_of(problem, flow, backend, comm), problem.initial(flow))
+    backend.start(mixing_scene(backend, flow, comm, problem.laws), problem.initial(flow))
     step = backend.running.bed.explicit_step * backend.options.courant
     backend.advance(0, 0.0, step)
     comm.Barrier()

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scaleup.scene import units
-from scaleup.scene.models import GRAVITY, Diffusion, Loading, Material
+from scaleup.scene.laws import Diffusion, Drift, Law, total_drift, total_tensor
+from scaleup.scene.models import GRAVITY, Loading, Material
 from scaleup.scene.models import Model as PluginOptions
 from scaleup.space.flow_field import Axis, FlowField, Interval
 from scaleup.space.grid import BoolArray, FloatArray, Grid, IntArray
@@ -39,6 +40,7 @@ __all__ = [
     "BoolArray",
     "ContractError",
     "Diffusion",
+    "Drift",
     "FlatSolid",
     "FloatArray",
     "Flow",
@@ -48,6 +50,7 @@ __all__ = [
     "InputError",
     "IntArray",
     "Interval",
+    "Law",
     "Ledger",
     "Loading",
     "Material",
@@ -202,20 +205,27 @@ class Flow(Plugin, kind="flow"):
 class MixingScene:
     """What a mixing backend moves concentration on.
 
-    flow           -- the FlowField, the same on every rank
-    diffusion      -- the law of diffusion; `tensor(interval)` evaluates it
-    grain_diameter -- m
-    decomposition  -- which cells this rank owns
-    tensor         -- interval -> (dimension, dimension, n) in m^2/s
-    force          -- whether steps beyond the limit of stability are allowed
+    flow          -- the FlowField, the same on every rank
+    decomposition -- which cells this rank owns
+    laws          -- what moves components beside the flow; of types that the backend solves
+    force         -- whether steps beyond the limit of stability are allowed
     """
 
     flow: FlowField
-    diffusion: Diffusion
-    grain_diameter: float
     decomposition: Decomposition
-    tensor: Callable[[Interval], FloatArray]
+    laws: tuple[Law, ...] = ()
     force: bool = False
+
+    def tensor(self, interval: Interval) -> FloatArray:
+        """Tensor of all diffusion, (dimension, dimension, n) in m^2/s; zeros if there is none."""
+        return total_tensor(self.laws, self.flow, interval)
+
+    def drift(self, interval: Interval) -> FloatArray | None:
+        """Velocities of all drifts, (components, dimension, n) in m/s, or None if there are none.
+
+        They hold for the whole interval.
+        """
+        return total_drift(self.laws, self.flow, interval)
 
 
 @dataclass
@@ -252,6 +262,8 @@ class Mixing(Plugin, kind="mixing"):
     """layers of ghost cells that the backend reads"""
     order: ClassVar[float | None] = None
     """of the scheme on smooth problems in full cells, which `scaleup.verification` measures"""
+    laws: ClassVar[frozenset[type[Law]]] = frozenset()
+    """types of the laws that the backend solves; a scene with others is refused"""
 
     # A run is held to these two.
     overshoot: float = 1e-9

@@ -11,6 +11,7 @@ import numpy as np
 from scaleup.case.vessel_shape import axis_meets
 from scaleup.flow.check import check_flow as check_flow
 from scaleup.mixing.check import CheckedMixing
+from scaleup.mixing.scene import mixing_scene as mixing_scene
 from scaleup.space.cut_cells import cut_fraction
 from scaleup.space.grid import FloatArray, Grid, grid_over
 from scaleup.system.errors import ContractError, InputError

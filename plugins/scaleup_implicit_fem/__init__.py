@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field, field_validator
 
-from scaleup.contract import FloatArray, MixingScene, PluginOptions, units
+from scaleup.contract import Diffusion, FloatArray, MixingScene, PluginOptions, units
 from scaleup.numerics import ExplicitBackend
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ class ImplicitFem(ExplicitBackend):
             return text
 
     halo: ClassVar[int] = 1
+    laws = frozenset({Diffusion})
     order: ClassVar[float] = 2.0
 
     def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:

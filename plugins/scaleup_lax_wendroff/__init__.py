@@ -6,7 +6,15 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from scaleup.contract import FloatArray, Geometry, InputError, MixingScene, PluginOptions, units
+from scaleup.contract import (
+    Diffusion,
+    FloatArray,
+    Geometry,
+    InputError,
+    MixingScene,
+    PluginOptions,
+    units,
+)
 from scaleup.numerics import ExplicitBackend, ExplicitTransport
 
 
@@ -26,6 +34,7 @@ class LaxWendroff(ExplicitBackend):
         """s, in place of a share of the stable step; beyond that only with --force"""
 
     halo: ClassVar[int] = 8  # layers for several steps between two exchanges
+    laws = frozenset({Diffusion})
 
     def check(self, geometry: Geometry, components: int) -> None:
         """The paper's form clips a component and takes the other for its rest."""

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from scaleup.contract import FloatArray, Interval, Ledger, Mixing, MixingScene, PluginOptions, units
+from scaleup.contract import (
+    Diffusion,
+    FloatArray,
+    Interval,
+    Ledger,
+    Mixing,
+    MixingScene,
+    PluginOptions,
+    units,
+)
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian.transport import Transport
@@ -36,6 +45,7 @@ class SemiLagrangian(Mixing):
         of the machine's memory, shared out among the ranks on it"""
 
     halo: ClassVar[int] = 3
+    laws = frozenset({Diffusion})
     order: ClassVar[float] = (
         1.9  # in the cell, at steps that do not shrink with it (sheared-disc: 1.7)
     )

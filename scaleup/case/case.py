@@ -12,8 +12,9 @@ import tomli_w
 from scaleup.case.config import PLUGIN_SECTIONS, Accuracy, Output, RunConfig
 from scaleup.case.validating import validated_options
 from scaleup.case.vessel_shape import Bed, level_height
-from scaleup.contract import Diffusion, Flow, Geometry, Grid, Material, Mixing
-from scaleup.scene.models import Operation
+from scaleup.contract import Flow, Geometry, Grid, Law, Material, Mixing
+from scaleup.scene.models import Diffusion, Operation
+from scaleup.scene.shear_diffusion import shear_diffusion
 from scaleup.space.grid import grid_over
 from scaleup.system import registry
 from scaleup.system.blame import blamed_on
@@ -61,8 +62,14 @@ class Case:
 
     @property
     def diffusion(self) -> Diffusion:
-        """The law of diffusion."""
+        """The constants of the law of diffusion, and when it sets in."""
         return self.config.diffusion
+
+    def laws(self, revolution: float = math.inf) -> tuple[Law, ...]:
+        """What moves components beside the flow after so many revolutions; by default all laws."""
+        if self.diffusion.k1 == 0 or revolution < round(self.diffusion.after, 9):
+            return ()
+        return (shear_diffusion(self.diffusion, self.material.grain_diameter),)
 
     @property
     def accuracy(self) -> Accuracy:

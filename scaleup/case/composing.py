@@ -19,6 +19,7 @@ from scaleup.case.feasibility import component_count, require_feasible
 from scaleup.case.forms import forms_of
 from scaleup.case.layers import assigned, merged, nested, read_layer, spelt_out
 from scaleup.case.validating import field_at, quantity_read, validated, validated_options
+from scaleup.scene.laws import require_solved
 from scaleup.scene.units import Quantity, in_likely_units
 from scaleup.system import registry
 from scaleup.system.blame import blamed_on
@@ -93,10 +94,12 @@ def _composed(layers: Sequence[Mapping[str, Any]], flow_must_accept: bool) -> Ca
 
 
 def _mixing_accepts(case: Case) -> None:
-    """Ask the mixing backend, which may refuse. Raises InputError."""
+    """The mixing backend solves the laws, and does not refuse. Raises InputError."""
     components = component_count(case.operation.loading, case.geometry.dimension)
-    with blamed_on("mixing", case.name("mixing")):
-        case.new_mixing().check(case.geometry, components)
+    backend, name = case.new_mixing(), case.name("mixing")
+    with blamed_on("mixing", name):
+        require_solved(case.laws(), backend.laws, name)
+        backend.check(case.geometry, components)
 
 
 def _likelier(

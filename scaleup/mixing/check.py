@@ -34,7 +34,7 @@ class CheckedMixing:
         """`name`: what the backend is registered under, for errors; None for none."""
         self._backend, self._name = backend, name
         with self._within():
-            self.halo = int(backend.halo)
+            self.halo, self.laws = int(backend.halo), backend.laws
         self._scene: MixingScene | None = None
         self._components = 0
         self._content: FloatArray = np.zeros(0)  # m^3 of each component

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from scaleup.case.case import Case
-from scaleup.contract import FlowField, Interval, MixingScene
+from scaleup.contract import FlowField
 from scaleup.measure.blend import Blend
 from scaleup.mixing.check import CheckedMixing
-from scaleup.mixing.diffusion_tensor import diffusion_tensor
 from scaleup.mixing.loading import initial_concentration
 from scaleup.mixing.march import State, march
+from scaleup.mixing.scene import mixing_scene
 from scaleup.report.results import Results, require_instants
 from scaleup.run.observers import (
     Checkpoint,
@@ -31,8 +31,6 @@ from scaleup.run.observers import (
 )
 from scaleup.run.plan import Plan
 from scaleup.run.resumption import identity, read_state
-from scaleup.space.decomposition import Decomposition
-from scaleup.space.grid import FloatArray
 from scaleup.system.crew import Crew
 from scaleup.system.errors import InputError
 from scaleup.system.parallel import on_each, on_root
@@ -138,34 +136,30 @@ def _states(
 ) -> Iterator[tuple[int, State]]:
     """(number of the last point reached, state) from point to point, on the ranks that work.
 
-    The backend starts again when diffusion sets in and when other ranks work. Where the run is
+    The backend starts again when a law sets in and when other ranks work. Where the run is
     asked to end there is a paused state, too.
     """
     backend = CheckedMixing(case.new_mixing(), case.name("mixing"))
-    period, sets_in = case.operation.period, round(case.diffusion.after, 9)
+    period, last = case.operation.period, len(plan.points) - 1
     # The clock of the flow starts when the bed begins to flow; rigid lifting comes before.
     waited = flow.lift / (2 * math.pi) if case.operation.start == "level-bed" else 0.0
     times = [max(0.0, (revolution - waited) * period) for revolution in plan.points]
-    tensor = partial(_tensor, flow=flow, case=case)
-    grain, last = case.material.grain_diameter, len(times) - 1
     while reached < last:
         crew.muster()
         if crew.comm is None:
             state, reached = crew.rest()
             continue
         began = time.monotonic()
-        split = Decomposition(flow.grid, flow.ever_active(), crew.comm, halo=backend.halo)
-        diffuses = plan.points[max(reached, 0)] >= sets_in
-        law = tensor if diffuses else _no_diffusion
-        scene = MixingScene(flow, case.diffusion, grain, split, law, force)
+        laws = case.laws(plan.points[max(reached, 0)])
+        scene = mixing_scene(backend, flow, crew.comm, laws, force=force)
         backend.start(scene, state.concentration, state.index, state.local)
         restart = time.monotonic() - began
         steps = march(flow, backend, times[reached + 1 :], state, pause=asked)
         for state in steps:
             reached += not state.paused
             yield reached, state
-            sets_in_now = plan.points[reached] >= sets_in and not diffuses
-            if crew.wants_change(restart) or sets_in_now:
+            sets_in = len(case.laws(plan.points[reached])) > len(laws)
+            if crew.wants_change(restart) or sets_in:
                 break
         if crew.due or reached == last:
             crew.call((state, reached))
@@ -194,12 +188,3 @@ def _resumed_state(
     }
     state = State(concentration, kept["clock"], index, kept["time"], blend.ledger)
     return state, blend, plan.points.index(kept["revolution"])
-
-
-def _tensor(interval: Interval, flow: FlowField, case: Case) -> FloatArray:
-    return diffusion_tensor(flow, interval, case.diffusion, case.material.grain_diameter)
-
-
-def _no_diffusion(interval: Interval) -> FloatArray:
-    dimension, n = interval.direction.shape
-    return np.zeros((dimension, dimension, n))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from scaleup.contract import Diffusion
 from scaleup.space.flow_field import FlowField, Interval
 from scaleup.space.grid import FloatArray
 from scaleup.verification.drum_layer import (
@@ -58,7 +59,7 @@ def drum_layers() -> list[Problem]:
             flow=drum_flow,
             initial=halves_side_by_side,
             exact=lambda flow, time: two_components(random_walks().concentration_at(time)),
-            tensor=layer_tensor,
+            laws=(Diffusion(layer_tensor),),
             observe=in_coarse_cells,
             stops=tuple(REVOLUTION * share for share in QUARTERS[:-1]),
         )

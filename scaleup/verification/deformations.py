@@ -15,7 +15,7 @@ from scaleup.verification.closed_flows import (
     unit_grid,
 )
 from scaleup.verification.fields import problem_of_field
-from scaleup.verification.problem import Field, Problem, uniform_tensor
+from scaleup.verification.problem import Field, Problem, uniform_diffusion
 from scaleup.verification.sheared_disc import ShearedDisc
 
 _SWIRL_PERIOD = 1.5  # s
@@ -97,7 +97,7 @@ def deformations() -> list[Problem]:
             duration=1.0,
             flow=sheared_disc_flow,
             field=_DISC.concentration,
-            tensor=uniform_tensor(_DISC.diffusivity * np.eye(2)),
+            laws=(uniform_diffusion(_DISC.diffusivity * np.eye(2)),),
         ),
         problem_of_field(
             "swirl-reversed",

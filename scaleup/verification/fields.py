@@ -8,14 +8,14 @@ from itertools import product
 import numpy as np
 from scipy.special import roots_legendre
 
-from scaleup.space.flow_field import FlowField, Interval
+from scaleup.contract import Law
+from scaleup.space.flow_field import FlowField
 from scaleup.space.grid import FloatArray, Grid, IntArray
 from scaleup.verification.problem import (
     Field,
     Problem,
     Regime,
     interval_at,
-    no_diffusion,
     two_components,
 )
 
@@ -31,7 +31,7 @@ def problem_of_field(
     flow: Callable[[int], FlowField],
     field: Callable[[float], Field],
     bed: Callable[[float], Field] | None = None,
-    tensor: Callable[[FlowField, Interval], FloatArray] = no_diffusion,
+    laws: tuple[Law, ...] = (),
     landings: int = 0,
 ) -> Problem:
     """A problem of two components, the first being the cell means of `field(time)`.
@@ -55,7 +55,7 @@ def problem_of_field(
         flow=flow,
         initial=lambda flow: at(flow, 0.0),
         exact=at,
-        tensor=tensor,
+        laws=laws,
         landings=landings,
     )
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from scaleup.contract import Diffusion, Law
 from scaleup.space.flow_field import FlowField, Interval
 from scaleup.space.grid import FloatArray
 
@@ -24,12 +25,6 @@ def cells_as_they_are(flow: FlowField, interval: Interval, time: float, c: Float
     return c, interval.fill(min(max(time, interval.start), interval.end))
 
 
-def no_diffusion(flow: FlowField, interval: Interval) -> FloatArray:
-    """A tensor of zeros."""
-    dimension = flow.grid.dimension
-    return np.zeros((dimension, dimension, len(interval.cells)))
-
-
 @dataclass(frozen=True)
 class Problem:
     """A flow, concentrations at its start, and what they are later.
@@ -44,7 +39,7 @@ class Problem:
     flow      -- the flow on a grid of a given size
     initial   -- concentrations (components, n) on the cells of interval 0; sum to 1
     exact     -- (flow, time in s) -> concentrations (components, m) as observed then
-    tensor    -- (flow, interval) -> diffusion tensor (dimension, dimension, n), m^2/s
+    laws      -- what moves components beside the flow
     observe   -- (flow, interval, local time, concentrations) -> what `exact` is compared with
     stops     -- s, times before the end at which the concentrations are observed too
     landings  -- the greatest number of equal parts of the duration in each of which the flow
@@ -63,19 +58,19 @@ class Problem:
     flow: Callable[[int], FlowField]
     initial: Callable[[FlowField], FloatArray]
     exact: Callable[[FlowField, float], FloatArray]
-    tensor: Callable[[FlowField, Interval], FloatArray] = no_diffusion
+    laws: tuple[Law, ...] = ()
     observe: Callable[[FlowField, Interval, float, FloatArray], Observed] = cells_as_they_are
     stops: tuple[float, ...] = ()
     landings: int = 0
 
 
-def uniform_tensor(tensor: FloatArray) -> Callable[[FlowField, Interval], FloatArray]:
+def uniform_diffusion(tensor: FloatArray) -> Diffusion:
     """The same tensor (dimension, dimension), m^2/s, in every cell."""
 
     def everywhere(flow: FlowField, interval: Interval) -> FloatArray:
         return np.repeat(tensor[:, :, None], len(interval.cells), axis=2)
 
-    return everywhere
+    return Diffusion(everywhere)
 
 
 def interval_at(flow: FlowField, time: float) -> tuple[Interval, float]:

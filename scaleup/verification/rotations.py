@@ -24,7 +24,7 @@ from scaleup.verification.bodies import (
 )
 from scaleup.verification.closed_flows import ball, plane_flow, space_flow, unit_grid
 from scaleup.verification.fields import problem_of_field
-from scaleup.verification.problem import Field, Problem, uniform_tensor
+from scaleup.verification.problem import Field, Problem, uniform_diffusion
 
 _OMEGA = 2 * math.pi  # rad/s
 _RADIUS = 0.5
@@ -108,7 +108,7 @@ def rotations() -> list[Problem]:
             regime="smooth",
             sizes=(64, 128, 256),
             field=_spreading,
-            tensor=uniform_tensor(_DIFFUSIVITY * np.eye(2)),
+            laws=(uniform_diffusion(_DIFFUSIVITY * np.eye(2)),),
         ),
         plane(
             "full-drum",

@@ -8,7 +8,7 @@ from scaleup.space.flow_field import FlowField
 from scaleup.verification.bodies import spread_gaussian
 from scaleup.verification.closed_flows import box, plane_flow, unit_grid
 from scaleup.verification.fields import problem_of_field
-from scaleup.verification.problem import Problem, uniform_tensor
+from scaleup.verification.problem import Problem, uniform_diffusion
 
 _TENSOR = 1e-3 * np.array([[2.0, 1.2], [1.2, 1.0]])  # m^2/s; ratio of its principal values 12
 
@@ -31,6 +31,6 @@ def spreading() -> list[Problem]:
             duration=1.0,
             flow=still_flow,
             field=lambda time: spread_gaussian((0.5, 0.5), 0.07, _TENSOR, time),
-            tensor=uniform_tensor(_TENSOR),
+            laws=(uniform_diffusion(_TENSOR),),
         )
     ]

@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 
 from scaleup.contract import MixingScene
-from scaleup.scene.models import Diffusion
-from scaleup.space.decomposition import Decomposition
+from scaleup.mixing.scene import mixing_scene
 from scaleup.space.flow_field import Axis, FlowField, interval_from_dense
 from scaleup.space.grid import FloatArray, Grid
 from scaleup.system.errors import RunError
 from scaleup.system.files import write_text
+from scaleup.verification.problem import uniform_diffusion
 
 ANGLES = (0.0, 15.0, 30.0, 45.0)  # degrees
 _RAYS = 9
@@ -87,7 +87,12 @@ def maker(plugin: Any, options: Any) -> Callable[[float | None], Any]:
 
 
 def uniform_scene(
-    courant: float, diffusion_number: float, angle: float, comm: Any, halo: int, cells: int = _CELLS
+    backend: Any,
+    courant: float,
+    diffusion_number: float,
+    angle: float,
+    comm: Any,
+    cells: int = _CELLS,
 ) -> MixingScene:
     """A uniform flow in a periodic box of unit cells with the given numbers for a step of 1 s.
 
@@ -100,9 +105,8 @@ def uniform_scene(
     faces.append(np.full((cells + 1, cells), courant * direction[1]))
     part = interval_from_dense(0.0, 1.0, grid, full, full, faces, none, np.stack([none, none]))
     flow = FlowField(grid, "lab", Axis(), 0.0, [part])
-    split = Decomposition(grid, part.cells, comm, halo=halo)
-    tensor = diffusion_number * np.eye(2)[:, :, None] * np.ones(grid.cells)
-    return MixingScene(flow, Diffusion(), 1.0, split, lambda _: tensor, force=True)
+    laws = [uniform_diffusion(diffusion_number * np.eye(2))] if diffusion_number else []
+    return mixing_scene(backend, flow, comm, laws, force=True)
 
 
 def write_csv(path: Path, boundaries: list[Boundary]) -> None:
@@ -158,7 +162,7 @@ def _boundary(
     diffusion_number: float,
 ) -> Boundary:
     backend = make(None)
-    scene = uniform_scene(courant, diffusion_number, angle, comm, backend.halo)
+    scene = uniform_scene(backend, courant, diffusion_number, angle, comm)
     half = np.full((2, scene.flow.grid.cells), 0.5)
     backend.start(scene, half)
     stated = float(backend.stable_time_step(scene.flow.intervals[0]))

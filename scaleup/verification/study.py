@@ -5,7 +5,6 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -13,8 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from scaleup.contract import Ledger, MixingScene
-from scaleup.scene.models import Diffusion
-from scaleup.space.decomposition import Decomposition
+from scaleup.mixing.scene import mixing_scene
 from scaleup.space.flow_field import FlowField, Interval
 from scaleup.space.grid import FloatArray
 from scaleup.verification.problem import Problem
@@ -73,13 +71,6 @@ class Result:
         return self.cell_updates / max(self.core_seconds, 1e-9)
 
 
-def scene_of(problem: Problem, flow: FlowField, backend: Any, comm: Any) -> MixingScene:
-    """A problem's flow and tensor as a backend wants them."""
-    active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
-    split = Decomposition(flow.grid, active, comm, halo=backend.halo)
-    return MixingScene(flow, Diffusion(), 1e-3, split, partial(problem.tensor, flow))
-
-
 def run(
     problem: Problem, backend: Any, n: int, comm: Any = MPI.COMM_SELF, *, parts: int = 0
 ) -> Result:
@@ -94,7 +85,7 @@ def run(
     Whatever the backend raises is passed on: InputError where it does not cover the problem.
     """
     flow = problem.flow(n)
-    scene = scene_of(problem, flow, backend, comm)
+    scene = mixing_scene(backend, flow, comm, problem.laws)
     start = problem.initial(flow)
     first = flow.intervals[0]
     backend.start(scene, start)

@@ -12,16 +12,21 @@ from mpi4py import MPI
 
 from scaleup.case.composing import compose
 from scaleup.command import cli
-from scaleup.contract import Flow, Geometry, Ledger, Mixing, MixingScene, PluginOptions
+from scaleup.contract import Flow, Geometry, Ledger, Mixing, PluginOptions
 from scaleup.flow.sample_flows import circulating_box
 from scaleup.flow.source import obtain_flow
 from scaleup.mixing.check import CheckedMixing
+from scaleup.mixing.scene import mixing_scene
 from scaleup.run import plugin_check
 from scaleup.run.blending import mix
-from scaleup.scene.models import Diffusion
-from scaleup.space.decomposition import Decomposition
 from scaleup.system import blame, registry
-from scaleup.system.errors import ContractError, PluginError, ScaleupError, UnforeseenError
+from scaleup.system.errors import (
+    ContractError,
+    InputError,
+    PluginError,
+    ScaleupError,
+    UnforeseenError,
+)
 from scaleup.system.parallel import on_each
 
 
@@ -156,8 +161,14 @@ def blend(name):
 @pytest.fixture(scope="module")
 def scene():
     flow = circulating_box(2)
-    split = Decomposition(flow.grid, flow.intervals[0].cells, MPI.COMM_SELF)
-    return MixingScene(flow, Diffusion(), 1e-3, split, lambda part: None)
+    return mixing_scene(Still(None), flow, MPI.COMM_SELF)
+
+
+def test_a_law_that_a_backend_does_not_solve_is_refused_before_anything_is_computed(registered):
+    name = registered("mixing", Still)
+    with pytest.raises(InputError, match=f"mixing.name = '{name}': does not solve diffusion; it"):
+        compose(None, [], {"mixing": {"name": name}})
+    assert compose(None, ["diffusion.k1=0"], {"mixing": {"name": name}}).laws() == ()
 
 
 HALVES = np.repeat([[1.0, 0.0], [0.0, 1.0]], 64, axis=1)
@@ -327,7 +338,8 @@ def test_a_rank_that_fails_alone_says_so_and_ends_all(store, tmp_path):
     path = os.pathsep.join([str(info.parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         [sys.executable, "-m", "scaleup", "simulate", "--flow", "surface-layer", "--mixing",
-         "alone", "--set", "grid.cells=600", "--output", "run", "--ranks", "2"],
+         "alone", "--set", "grid.cells=600", "--set", "diffusion.k1=0", "--output", "run",
+        "--ranks", "2"],
         capture_output=True, text=True, cwd=tmp_path, timeout=120, check=False,
         env={**os.environ, "PYTHONPATH": path},
     )  # fmt: skip

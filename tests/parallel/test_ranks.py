@@ -51,7 +51,7 @@ from scaleup.case.composing import compose
 from scaleup.flow.source import obtain_flow
 from scaleup.report.results import Results
 from scaleup.verification import problems, run
-from scaleup.verification.problem import uniform_tensor
+from scaleup.verification.problem import uniform_diffusion
 from scaleup_semi_lagrangian import SemiLagrangian
 
 for name, options in json.loads(sys.argv[2]).items():
@@ -66,7 +66,7 @@ for name, options in json.loads(sys.argv[2]).items():
 
 if comm.size < 3:  # in space, on a moving fill
     tensor = 1e-3 * np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.3], [0.0, 0.3, 1.0]])
-    problem = dataclasses.replace(problems()["sloshing-3d"], tensor=uniform_tensor(tensor))
+    problem = dataclasses.replace(problems()["sloshing-3d"], laws=(uniform_diffusion(tensor),))
     result = run(problem, SemiLagrangian(SemiLagrangian.Options()), 16, comm)
     if comm.rank == 0:
         print(result.l1, result.mass_drift, result.minimum, result.maximum)

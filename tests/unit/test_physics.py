@@ -7,9 +7,9 @@ import pytest
 
 from scaleup.case.composing import compose
 from scaleup.measure.metrics import Sampler, blend_time, decay_rate
-from scaleup.mixing.diffusion_tensor import diffusion_tensor
 from scaleup.mixing.loading import initial_concentration
 from scaleup.scene.models import Diffusion, Loading, Material
+from scaleup.scene.shear_diffusion import diffusion_tensor
 from scaleup.space.flow_field import Axis, FlowField, Interval
 from scaleup.space.grid import Grid
 from scaleup.system.errors import ContractError, InputError

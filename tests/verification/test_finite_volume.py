@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -11,10 +9,10 @@ from mpi4py import MPI
 from scaleup.case.composing import compose
 from scaleup.contract import FlowField, Ledger, MixingScene
 from scaleup.flow.source import obtain_flow
-from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.mixing.scene import mixing_scene
 from scaleup.run.blending import mix
 from scaleup.scene.models import Diffusion
-from scaleup.space.decomposition import Decomposition
+from scaleup.scene.shear_diffusion import shear_diffusion
 from scaleup.space.merged_cells import leaving_rate, merge, neighbours_below
 from scaleup.testing import check_mixing
 from scaleup.verification import fitted_order, problems, run
@@ -29,15 +27,8 @@ def backend(**options) -> FiniteVolume:
 
 
 def scene_of(flow: FlowField, k1: float = 0.04, grain: float = 3e-3) -> MixingScene:
-    active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
-    split = Decomposition(flow.grid, active, MPI.COMM_SELF, halo=FiniteVolume.halo)
-    law = Diffusion(k1=k1)
-    tensor = partial(_tensor, flow, law, grain)
-    return MixingScene(flow, law, grain, split, tensor)
-
-
-def _tensor(flow, law, grain, interval):
-    return diffusion_tensor(flow, interval, law, grain)
+    laws = [shear_diffusion(Diffusion(k1=k1), grain)]
+    return mixing_scene(backend(), flow, MPI.COMM_SELF, laws)
 
 
 def test_order_and_error_of_a_rotating_gaussian():

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 from scaleup.contract import FlowField, InputError, Ledger, MixingScene, RunError
-from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.mixing.scene import mixing_scene
 from scaleup.scene.models import Diffusion
-from scaleup.space.decomposition import Decomposition
+from scaleup.scene.shear_diffusion import shear_diffusion
 from scaleup.testing import check_mixing
 from scaleup.verification import fitted_order, problems, run
 from scaleup.verification.stability_map import breaks_bounds, grows, maker, uniform_scene
-from scaleup.verification.study import scene_of as scene_of_problem
 from scaleup_finite_volume import FiniteVolume
 from scaleup_implicit_fem import ImplicitFem
 from scaleup_implicit_fem.stability import amplification
@@ -31,16 +29,15 @@ def backend(**options) -> ImplicitFem:
 
 
 def scene_of(flow: FlowField, grain: float = 3e-3) -> MixingScene:
-    active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
-    split = Decomposition(flow.grid, active, MPI.COMM_SELF, halo=ImplicitFem.halo)
-    tensor = partial(diffusion_tensor, flow, law=Diffusion(), grain_diameter=grain)
-    return MixingScene(flow, Diffusion(), grain, split, tensor)
+    laws = [shear_diffusion(Diffusion(), grain)]
+    return mixing_scene(backend(), flow, MPI.COMM_SELF, laws)
 
 
 def started(problem, n: int, **options):
     """A backend at the start of a problem, and its flow."""
     flow, solver = problem.flow(n), backend(**options)
-    solver.start(scene_of_problem(problem, flow, solver, MPI.COMM_SELF), problem.initial(flow))
+    scene = mixing_scene(solver, flow, MPI.COMM_SELF, problem.laws)
+    solver.start(scene, problem.initial(flow))
     return solver, flow
 
 
@@ -100,7 +97,7 @@ def test_diffusion_with_mixed_derivatives():
 def test_a_wave_on_a_uniform_flow_is_multiplied_as_stated():
     """Fluxes, mass, diffusion, filter and time scheme at once, by one step of a single wave."""
     cells, turns = 24, (5, 3)
-    scene = uniform_scene(2.0, 0.3, 30.0, MPI.COMM_SELF, ImplicitFem.halo, cells)
+    scene = uniform_scene(backend(), 2.0, 0.3, 30.0, MPI.COMM_SELF, cells)
     grid, flow = scene.flow.grid, scene.flow
     theta = 2 * np.pi * np.array(turns) / cells
     phase = np.arange(cells)[None, :] * theta[0] + np.arange(cells)[:, None] * theta[1]
@@ -131,7 +128,7 @@ def test_no_wave_grows_at_any_step(dimension):
 def test_noise_does_not_grow_and_bounds_hold_whatever_the_step(step):
     make = maker(ImplicitFem, ImplicitFem.Options(petsc_options=DIRECT))
     for angle, number in ((0.0, 0.0), (33.0, 0.0), (45.0, 0.2)):
-        scene = uniform_scene(1.0, number, angle, MPI.COMM_SELF, ImplicitFem.halo)
+        scene = uniform_scene(backend(), 1.0, number, angle, MPI.COMM_SELF)
         assert not grows(make, scene, step)
         assert not breaks_bounds(make, scene, step)
 
@@ -207,8 +204,8 @@ def test_a_bed_at_rest_stays_as_it_is():
     still = replace(part, flux=np.zeros_like(part.flux), fill_end=part.fill_start)
     flow = replace(flow, intervals=[still], prefix=0)
     c = np.random.default_rng(4).random(len(part.cells))
-    solver, none = backend(), np.zeros((2, 2, len(c)))
-    solver.start(replace(scene_of(flow), tensor=lambda _: none), np.stack([c, 1 - c]))
+    solver = backend()
+    solver.start(mixing_scene(solver, flow, MPI.COMM_SELF), np.stack([c, 1 - c]))
     assert solver.advance(0, part.start, part.end).iterations == 0
     assert solver.concentration(still)[0] == pytest.approx(c, abs=1e-15)
 

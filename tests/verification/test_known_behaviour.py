@@ -1,6 +1,5 @@
 """What is known of tumbling blenders, with the default mixing on coarse 3-D grids."""
 
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -8,11 +7,10 @@ import pytest
 from mpi4py import MPI
 
 from scaleup.case.composing import compose
-from scaleup.contract import MixingScene
 from scaleup.flow.source import obtain_flow
-from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.mixing.scene import mixing_scene
 from scaleup.run.blending import mix
-from scaleup.space.decomposition import Decomposition
+from scaleup.scene.laws import total_tensor
 from scaleup_finite_volume import FiniteVolume
 from scaleup_surface_layer import general
 
@@ -63,12 +61,9 @@ def test_without_diffusion_nothing_at_all_crosses_the_mirror_plane_of_a_v_blende
 def start(case, flow, concentration, index=0):
     """Finite volumes on an interval, from a concentration of cells; and 1 revolution, s."""
     backend = FiniteVolume(FiniteVolume.Options())
-    split = Decomposition(flow.grid, flow.ever_active(), COMM, halo=backend.halo)
-    grain = case.material.grain_diameter
-    tensor = partial(diffusion_tensor, flow, law=case.diffusion, grain_diameter=grain)
     first = concentration(flow.intervals[index].cells)
     whole = np.stack([first, 1.0 - first])
-    backend.start(MixingScene(flow, case.diffusion, grain, split, tensor), whole, index)
+    backend.start(mixing_scene(backend, flow, COMM, case.laws()), whole, index)
     return backend, case.operation.period
 
 
@@ -92,7 +87,7 @@ def test_a_long_drum_mixes_along_its_axis_by_diffusion_alone(store):
         return float(held @ z[interval.cells] ** 2 / held.sum())
 
     def spreads(interval):
-        tensor = diffusion_tensor(flow, interval, case.diffusion, 6e-3)
+        tensor = total_tensor(case.laws(), flow, interval)
         fill = 0.5 * (interval.fill_start + interval.fill_end)
         return float(tensor[2, 2] @ fill / fill.sum())
 

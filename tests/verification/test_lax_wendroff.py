@@ -1,7 +1,5 @@
 """The Lax-Wendroff schemes on the exact drum flow and on whole-plane fields."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -9,13 +7,14 @@ from mpi4py import MPI
 from scaleup.case.composing import compose
 from scaleup.contract import FlowField, MixingScene
 from scaleup.flow.source import obtain_flow
-from scaleup.mixing.diffusion_tensor import diffusion_tensor
+from scaleup.mixing.scene import mixing_scene
 from scaleup.run.blending import mix
 from scaleup.scene.models import Diffusion
-from scaleup.space.decomposition import Decomposition
+from scaleup.scene.shear_diffusion import shear_diffusion
 from scaleup.testing import check_flow, check_mixing
 from scaleup.verification import Result, fitted_order, problems, run
 from scaleup.verification.deformations import vortex_flow
+from scaleup.verification.problem import uniform_diffusion
 from scaleup_lax_wendroff import LaxWendroff
 from synthetic import sloshing
 
@@ -23,15 +22,8 @@ FAST = {"flow": {"name": "surface-layer"}}
 
 
 def scene_of(flow: FlowField, k1: float = 0.0, grain: float = 1e-3) -> MixingScene:
-    active = np.unique(np.concatenate([part.cells for part in flow.intervals]))
-    split = Decomposition(flow.grid, active, MPI.COMM_SELF, halo=8)
-    law = Diffusion(k1=k1)
-    tensor = partial(_tensor, flow, law, grain)
-    return MixingScene(flow, law, grain, split, tensor)
-
-
-def _tensor(flow, law, grain, interval):
-    return diffusion_tensor(flow, interval, law, grain)
+    laws = [shear_diffusion(Diffusion(k1=k1), grain)]
+    return mixing_scene(LaxWendroff(LaxWendroff.Options()), flow, MPI.COMM_SELF, laws)
 
 
 def bump(flow: FlowField) -> np.ndarray:
@@ -77,14 +69,13 @@ def test_diffusion_spreads_a_gaussian_as_the_exact_solution():
     """No flow, uniform anisotropic tensor with D_xy: variances grow by 2 D t."""
     flow = vortex_flow(64)
     part = flow.intervals[0]
-    tensor = np.array([[2.0, 0.7], [0.7, 1.0]])[:, :, None] * 1e-3 * np.ones(len(part.cells))
+    law = uniform_diffusion(np.array([[2.0, 0.7], [0.7, 1.0]]) * 1e-3)
     part = type(part)(
         0.0, 1.0, part.cells, part.fill_start, part.fill_end, 0 * part.flux,
         part.shear_rate, part.direction,
     )  # fmt: skip
     still = FlowField(flow.grid, "lab", flow.axis, 0.0, [part])
-    scene = scene_of(still)
-    scene = MixingScene(still, scene.diffusion, 1e-3, scene.decomposition, lambda _: tensor)
+    scene = mixing_scene(LaxWendroff(LaxWendroff.Options()), still, MPI.COMM_SELF, [law])
     p = flow.grid.centre_points(part.cells) - 0.5
     c = np.exp(-(p**2).sum(axis=1) / (2 * 0.08**2))
     backend = LaxWendroff(LaxWendroff.Options())

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from scaleup.mixing.scene import mixing_scene
 from scaleup.verification import fitted_order, problems, run
-from scaleup.verification.study import scene_of
 from scaleup_semi_lagrangian import SemiLagrangian
 from scaleup_semi_lagrangian.centring import balance
 from scaleup_semi_lagrangian.exchange import _decompose
@@ -115,7 +115,7 @@ def test_three_components_keep_mass_and_bounds():
 
     flow = problem.flow(50)
     engine, start = backend(), thirds(flow)
-    engine.start(scene_of(problem, flow, engine, MPI.COMM_SELF), start)
+    engine.start(mixing_scene(engine, flow, MPI.COMM_SELF, problem.laws), start)
     ledger = engine.advance(0, 0.0, 0.9)
     end, fill = engine.concentration(flow.intervals[0]), flow.intervals[0].fill_start
     assert end @ fill == pytest.approx(start @ fill, rel=1e-12)

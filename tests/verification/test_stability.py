@@ -1,12 +1,12 @@
 """Stated limits of the explicit backends: never too long a step, and what lies beyond fails."""
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
-from scaleup.contract import MixingScene
 from scaleup.system import registry
 from scaleup.system.errors import RunError
 from scaleup.verification.stability_map import breaks_bounds, grows, maker, uniform_scene
@@ -64,7 +64,7 @@ def test_the_stated_condition_has_no_false_stable(scheme, dimension, count, wave
 
 def scene_and_limit(scheme: str, courant: float, number: float, angle: float):
     backend = make(scheme)(None)
-    scene = uniform_scene(courant, number, angle, MPI.COMM_SELF, backend.halo)
+    scene = uniform_scene(backend, courant, number, angle, MPI.COMM_SELF)
     backend.start(scene, np.full((2, scene.flow.grid.cells), 0.5))
     return scene, backend.stable_time_step(scene.flow.intervals[0])
 
@@ -106,9 +106,7 @@ def test_a_bounded_scheme_breaks_its_bounds_beyond_its_limit(scheme):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_step_beyond_the_limit_is_refused_and_growth_is_caught_within_100_steps(scheme):
     scene, limit = scene_and_limit(scheme, 1.0, 0.0, 45.0)
-    careful = MixingScene(
-        scene.flow, scene.diffusion, 1.0, scene.decomposition, scene.tensor, force=False
-    )
+    careful = replace(scene, force=False)
     rough = np.random.default_rng(0).integers(0, 2, scene.flow.grid.cells).astype(float)
     start = np.stack([rough, 1.0 - rough])
     with pytest.raises(RunError, match=r"time_step = .* limit of stability .* is "):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scaleup.contract import Ledger, Mixing
+from scaleup.scene.laws import total_tensor
 from scaleup.system import registry
 from scaleup.system.errors import InputError
 from scaleup.testing import check_flow
@@ -114,7 +115,7 @@ def residual(problem, n: int) -> float:
 
     full = np.minimum(part.fill_start, part.fill_end) > (1 - 1e-9) * grid.cell_volume
     c = np.where(dense(full.astype(float)) == 1, exact(time), np.nan)
-    tensor = dense(problem.tensor(flow, part))
+    tensor = dense(total_tensor(problem.laws, flow, part))
     right = np.zeros(grid.shape)
     for axis, faces in enumerate(part.face_fluxes(grid)):
         along = grid.array_axis(axis)

@@ -1,4 +1,4 @@
-"""The diffusion tensor of a sheared bed.
+"""Diffusion in a sheared bed: the tensor that a configuration's [diffusion] asks for.
 
 objective  D = shear_rate d^2 [k1 I + (k2 - k1) t t], t the direction of v - Omega x r
            (frame-independent; rigid rotation gives none).
@@ -9,26 +9,35 @@ paper      Eq. 6 of Liu, Gonzalez & Wassgren 2018: D_xx = d^2 (k1 g_y + k2 g_x),
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from scaleup.scene.models import Diffusion
+from scaleup.scene.laws import Diffusion
+from scaleup.scene.models import Diffusion as Constants
 from scaleup.space.flow_field import FlowField, Interval
+from scaleup.space.gradient import slope
 from scaleup.space.grid import FloatArray
 from scaleup.system.errors import InputError
 
 
+def shear_diffusion(constants: Constants, grain_diameter: float) -> Diffusion:
+    """The law of diffusion of these constants and grains (m)."""
+    return Diffusion(partial(diffusion_tensor, constants=constants, grain_diameter=grain_diameter))
+
+
 def diffusion_tensor(
-    flow: FlowField, interval: Interval, law: Diffusion, grain_diameter: float
+    flow: FlowField, interval: Interval, constants: Constants, grain_diameter: float
 ) -> FloatArray:
     """Diffusion tensor of every active cell, m^2/s, shape (dimension, dimension, n).
 
-    Raises InputError if `law.model` is "paper" for a 3-D or vessel-frame flow.
+    Raises InputError if `constants.model` is "paper" for a 3-D or vessel-frame flow.
     """
-    scale = law.k1 * grain_diameter**2
-    ratio = law.k2_ratio
+    scale = constants.k1 * grain_diameter**2
+    ratio = constants.k2_ratio
     dimension, n = interval.direction.shape
     tensor = np.zeros((dimension, dimension, n))
-    if law.model == "objective":
+    if constants.model == "objective":
         sheared = np.flatnonzero(interval.shear_rate)  # in a vessel's frame a small part of the bed
         t, rate = interval.direction[:, sheared], interval.shear_rate[sheared]
         identity = np.eye(dimension)[:, :, None]
@@ -39,27 +48,11 @@ def diffusion_tensor(
             "diffusion.model = 'paper': Eq. 6 holds for a 2-D flow in the lab frame only; "
             "use 'objective'"
         )
-    g_y, g_x = _cross_gradients(flow, interval)
+    velocity = interval.velocity(flow.grid)
+    g_y, g_x = (
+        np.abs(slope(flow.grid, interval.cells, velocity[component], axis))
+        for component, axis in ((1, 0), (0, 1))
+    )
     tensor[0, 0] = scale * (g_y + ratio * g_x)
     tensor[1, 1] = scale * (g_x + ratio * g_y)
     return tensor
-
-
-def _cross_gradients(flow: FlowField, interval: Interval) -> tuple[FloatArray, FloatArray]:
-    """|dv_y/dx| and |dv_x/dy| by central differences, one-sided at the bed's edge, 1/s."""
-    grid = flow.grid
-    velocity = interval.velocity(grid)
-    dense = np.full((2, *grid.shape), np.nan)
-    dense[:, *np.unravel_index(interval.cells, grid.shape)] = velocity
-    gradients = []
-    for component, axis in ((1, 0), (0, 1)):
-        values = dense[component]
-        along = grid.array_axis(axis)
-        ahead = np.roll(values, -1, along) - values
-        behind = values - np.roll(values, 1, along)
-        both = np.stack([ahead, behind])
-        known = np.isfinite(both).sum(axis=0)
-        total = np.nansum(both, axis=0)
-        slope = np.divide(total, known, out=np.zeros_like(total), where=known > 0)
-        gradients.append(np.abs(slope.reshape(-1)[interval.cells]) / grid.spacing[axis])
-    return gradients[0], gradients[1]
