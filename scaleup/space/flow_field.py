@@ -244,6 +244,14 @@ class FlowField:
             yield index, local, stop
             now = base + stop
 
+    def down(self, time: float) -> FloatArray:
+        """Unit vector along gravity in this frame at a time of the flow's clock, s, (dimension,).
+
+        Along -y in the lab; in the vessel it turns against the rotation.
+        """
+        phase = self.lift + self.angular_velocity * time if self.frame == "vessel" else 0.0
+        return np.array([-math.sin(phase), -math.cos(phase), 0.0])[: self.grid.dimension]
+
     def level_coordinates(self, points: FloatArray) -> FloatArray:
         """Where points of the first instant were in the settled level bed, m, shape (n, dim).
 
