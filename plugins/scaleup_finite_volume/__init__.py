@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field
 
-from scaleup.contract import Diffusion, FloatArray, MixingScene, PluginOptions, units
+from scaleup.contract import Diffusion, Drift, FloatArray, MixingScene, PluginOptions, units
 from scaleup.numerics import ExplicitBackend
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class FiniteVolume(ExplicitBackend):
         """s, in place of a share of the stable step; beyond that only with --force"""
 
     halo: ClassVar[int] = 3
-    laws = frozenset({Diffusion})
+    laws = frozenset({Diffusion, Drift})
     order: ClassVar[float] = 2.0  # with mixed derivatives of a tensor; above 3 without
 
     def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:

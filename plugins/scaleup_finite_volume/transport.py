@@ -7,8 +7,9 @@ the scheme is linear; second where the fill moves):
 1. phi c' = phi c - div H(c, dt/3);  2. phi c'' = phi c - div H(c', dt/2);
 3. flux correction of H(c'', dt): conservative, 0 <= c <= 1.
 
-Limit: what leaves a full cell in a step by flow, and 2 x 1.07 times the cell diffusion numbers, add
-up to at most 1 (see `stability`); cells that hold less are merged.
+Limit: what leaves a full cell in a step by flow, 2 x 1.07 times the cell diffusion numbers, and the
+greatest difference of two drifts times dt/h at every face, add up to at most 1 (see `stability`);
+cells that hold less are merged. Drifts are second order, with limited slopes (`add_drift`).
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class Transport(ExplicitTransport[ConservativeBed]):
     def make_bed(self, interval: Interval) -> ConservativeBed:
         """The bed with the limit stated above."""
         scene = self.scene
-        bed = ConservativeBed(scene.flow.grid, self.split, interval, scene.tensor(interval))
+        bed = ConservativeBed(
+            scene.flow.grid, self.split, interval, scene.tensor(interval), scene.drift(interval)
+        )
         bed.stable_step = bed.positive_step(DIFFUSION_FACTOR)
         return bed
 
@@ -79,3 +82,4 @@ class Transport(ExplicitTransport[ConservativeBed]):
     def _find_fluxes(self, c: FloatArray, dt: float) -> None:
         for component, flux in zip(c, self._fluxes, strict=True):
             high_order(flux, component, self.bed, self._faces, dt)
+        self._correction.add_drift(self._fluxes, c, dt)

@@ -97,6 +97,8 @@ class ConservativeBed:
     spread   -- (dimension, cells) diffusive conductance D_nn aperture/h^2 of the lower faces, 1/s;
                 the aperture is the smaller fill fraction beside the face at the start
     tensor   -- (dimension, dimension, cells) m^2/s
+    drift    -- (components, dimension, cells) w_n aperture/h of the lower faces, w a component's
+                velocity by drift, 1/s; no components if nothing drifts
     full     -- cells that are full all the time
     holds    -- cells that hold material at the start
     moving   -- cells of the whole bed through whose faces anything goes, (n,) bool
@@ -107,7 +109,12 @@ class ConservativeBed:
     """
 
     def __init__(
-        self, grid: Grid, split: Decomposition, interval: Interval, tensor: FloatArray
+        self,
+        grid: Grid,
+        split: Decomposition,
+        interval: Interval,
+        tensor: FloatArray,
+        drift: FloatArray | None = None,
     ) -> None:
         self.grid, self.split, self.interval = grid, split, interval
         volume, shape = grid.cell_volume, split.local_shape
@@ -115,10 +122,16 @@ class ConservativeBed:
         self._below = neighbours_below(grid, interval.cells)
         self._flux = interval.flux / volume
         diagonal = np.array([tensor[a, a] for a in range(grid.dimension)])
+        spacing = np.array(grid.spacing)
         # what a cell holds at first sets its aperture: one that is being filled exchanges nothing
-        self._spread = _conductance(self._below, self._start, diagonal, np.array(grid.spacing))
+        self._spread = _through_faces(self._below, self._start, diagonal, spacing**2)
+        velocities = [] if drift is None else list(drift)
+        through = [_through_faces(self._below, self._start, w, spacing) for w in velocities]
+        self._drift = np.array(through).reshape(len(through), *self._flux.shape)
+        # no component changes places with another one faster
+        self._swap = np.ptp(self._drift, axis=0) if through else np.zeros_like(self._flux)
         self._full = np.minimum(self._start, self._end) >= 1.0 - _ROUND_OFF
-        self.moving = _touched(self._below, self._flux, self._spread)
+        self.moving = _touched(self._below, self._flux, self._spread + self._swap)
         self.updates = int(self.moving.sum())
         self.strides = tuple(
             int(np.prod(shape[dim + 1 :]))
@@ -127,6 +140,7 @@ class ConservativeBed:
         self._placing = split.placing(interval.cells)
         self.flux = self._placing.local(self._flux)
         self.spread = self._placing.local(self._spread)
+        self.drift = self._placing.local(self._drift)
         self.tensor = self._placing.local(tensor)
         self.full = self._placing.local(self._full)
         self.holds = self._placing.local(self._start > _ROUND_OFF)
@@ -137,11 +151,11 @@ class ConservativeBed:
     def positive_step(self, diffusion: float = 1.0) -> float:
         """Largest dt at which no full cell loses more than it holds, on all ranks, s.
 
-        sum over faces of outflow dt + 2 diffusion sum over axes of D_nn dt/h^2 <= 1: with
-        `diffusion` 1 the limit of positivity of the upwind scheme, with more a stricter one.
-        Infinite if nothing moves.
+        sum over faces of outflow dt + 2 diffusion sum over axes of D_nn dt/h^2 + sum over faces of
+        (the greatest difference of two drifts) dt/h <= 1: with `diffusion` 1 the limit of
+        positivity of the upwind scheme, with more a stricter one. Infinite if nothing moves.
         """
-        rate = leaving_rate(self._below, self._flux, diffusion * self._spread)
+        rate = leaving_rate(self._below, self._flux, diffusion * self._spread + self._swap)
         fastest = float(rate[self._full].max(initial=0.0))
         if fastest == 0.0:  # nothing but cut cells
             fastest = float((rate / np.maximum(self._start, _LEAST)).max(initial=0.0))
@@ -162,7 +176,8 @@ class ConservativeBed:
         held = np.stack([self._start, self._end, least])
         held[held <= _ROUND_OFF] = 0.0
         cut = self.moving & ~self._full
-        self.merged = merge(self._below, self._flux, self._spread, held, cut, dt)
+        exchange = self._spread + self._swap
+        self.merged = merge(self._below, self._flux, exchange, held, cut, dt)
         self.groups = self._local_groups()
         self._close_inner()
         mine = self._placing.mine
@@ -239,6 +254,7 @@ class ConservativeBed:
             inner = place[(behind >= 0) & (group[behind] == number)]
             self.flux[axis, inner] = 0.0
             self.spread[axis, inner] = 0.0
+            self.drift[:, axis, inner] = 0.0
 
     def shifted(self, values: FloatArray, axis: int, by: int) -> FloatArray:
         """values[cell + by] along an axis, in flattened local arrays (edges are not valid)."""
@@ -311,17 +327,17 @@ def sums_over_groups(split: Decomposition, groups: LocalGroups, values: FloatArr
 
 
 @numba.njit(cache=True)
-def _conductance(
-    below: IntArray, fraction: FloatArray, diagonal: FloatArray, spacing: FloatArray
+def _through_faces(
+    below: IntArray, fraction: FloatArray, normal: FloatArray, scale: FloatArray
 ) -> FloatArray:
-    """D_nn aperture/h^2 of the lower faces, 1/s, (dimension, n)."""
-    result = np.zeros_like(diagonal)
-    for axis in range(diagonal.shape[0]):
-        for i in range(diagonal.shape[1]):
+    """Means of `normal` (dimension, n) at the lower faces times aperture/scale, (dimension, n)."""
+    result = np.zeros_like(normal)
+    for axis in range(normal.shape[0]):
+        for i in range(normal.shape[1]):
             j = below[axis, i]
             if j >= 0:
-                mean = 0.5 * (diagonal[axis, i] + diagonal[axis, j])
-                result[axis, i] = mean * min(fraction[i], fraction[j]) / spacing[axis] ** 2
+                mean = 0.5 * (normal[axis, i] + normal[axis, j])
+                result[axis, i] = mean * min(fraction[i], fraction[j]) / scale[axis]
     return result
 
 

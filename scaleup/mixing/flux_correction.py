@@ -7,8 +7,8 @@ Flux correction (Boris & Book 1973; Zalesak 1979, J. Comput. Phys. 31, 335; with
 whole problem, 0 and 1, as in Xiong, Qiu & Xu 2013, J. Comput. Phys. 252, 310), for n components
 c_k with sum 1:
 
-1. low order: upwind fluxes L and conductances give a solution c_low that keeps 0 <= c <= 1 where no
-   more leaves a cell than it holds;
+1. low order: upwind fluxes L (with conductances and drifts) give a solution c_low that keeps
+   0 <= c <= 1 where no more leaves a cell than it holds;
 2. A = F - L is what the high-order fluxes F add;
 3. for each component and cell R_k = min(1, phi c_low,k / sum of what A_k takes out), the share of
    A_k that the cell can give without falling below 0;
@@ -28,7 +28,8 @@ import numpy as np
 
 from scaleup.mixing import flux_kernels as kernels
 from scaleup.mixing.conservative_bed import ConservativeBed, sums_over_groups
-from scaleup.space.grid import FloatArray
+from scaleup.space.grid import BoolArray, FloatArray
+from scaleup.system.errors import ContractError
 
 if TYPE_CHECKING:
     from scaleup.space.decomposition import Decomposition
@@ -49,10 +50,29 @@ class FluxCorrection:
 
     def enter(self, bed: ConservativeBed) -> None:
         """Take up another interval's bed."""
+        if len(bed.drift) not in (0, len(self._content)):
+            raise ContractError(
+                f"a drift of {len(bed.drift)} components in a bed of {len(self._content)}"
+            )
         self._bed = bed
         x, y, *z = bed.strides
         self._strides = (x, y, z[0] if z else 0)
         self._shares.array[...] = 1.0
+        if len(bed.drift):  # where slopes are taken, along each axis
+            ahead, behind = (
+                np.array([bed.shifted(bed.full, axis, by) for axis in range(len(bed.strides))])
+                for by in (1, -1)
+            )
+            self._smooth = bed.full & ahead & behind
+
+    def add_drift(self, fluxes: FloatArray, c: FloatArray, dt: float) -> None:
+        """Add what the bed's drifts carry in dt (s), of second order where all is full."""
+        if len(self._bed.drift):
+            self._add_swaps(fluxes, c, dt, self._smooth)
+
+    def _add_swaps(self, fluxes: FloatArray, c: FloatArray, by: float, smooth: BoolArray) -> None:
+        bed = self._bed
+        kernels.add_swaps(fluxes, c, bed.drift, by, smooth, bed.face_runs, self._strides)
 
     def update(
         self, new: FloatArray, c: FloatArray, fluxes: FloatArray, start: float, end: float
@@ -89,6 +109,8 @@ class FluxCorrection:
             kernels.subtract_low_order(
                 fluxes[k], c[k], bed.flux, bed.spread, end - start, bed.face_runs, strides
             )
+        if len(bed.drift):
+            self._add_swaps(fluxes, c, start - end, np.zeros_like(self._smooth))
         before, after = groups.fraction(start), groups.fraction(end)
         both = np.concatenate(
             [
