@@ -13,8 +13,8 @@ from scaleup.flow.bed_support import bed_depth, critical_height, lifted_lean
 from scaleup.flow.stream_function import fit_stream_function, flow_from_stream_function
 from scaleup.mixing.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
 from scaleup.mixing.flux_correction import FluxCorrection
-from scaleup.mixing.surroundings import Surroundings
 from scaleup.mixing.transport import ExplicitBackend, ExplicitTransport
+from scaleup.scene.surroundings import Surroundings
 from scaleup.space.closed_surface import ClosedSurface
 from scaleup.space.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
 from scaleup.space.convex_hull import mirrored_in_z, outward_hull
