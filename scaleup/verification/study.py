@@ -12,13 +12,12 @@ import numpy as np
 from mpi4py import MPI
 
 from scaleup.contract import Ledger, MixingScene
+from scaleup.mixing.march import State, march
 from scaleup.mixing.scene import mixing_scene
 from scaleup.space.flow_field import FlowField, Interval
 from scaleup.space.grid import FloatArray
 from scaleup.verification.problem import Problem
 
-State = tuple[Interval, float, FloatArray]
-"""an interval, a time in it (s) and the concentrations on its cells then"""
 _SHORT = 0.2  # s: shorter runs are timed again
 _REPEATS = 3
 _WARM_UP = 1e-3  # of the duration, at most
@@ -92,18 +91,20 @@ def run(
     warm_up = min(first.duration, _WARM_UP * problem.duration)
     backend.advance(0, 0.0, min(backend.stable_time_step(first), warm_up))
     parts = parts or (PARTS if problem.landings else 1)
-    states, ledger, *cost = _march(problem, backend, scene, start, parts)
+    states, *cost = _marched(problem, backend, scene, start, parts)
     for _ in range(_REPEATS if cost[0] < _SHORT else 0):
-        again = _march(problem, backend, scene, start, parts)[2:]
+        again = _marched(problem, backend, scene, start, parts)[1:]
         cost = [min(pair) for pair in zip(cost, again, strict=True)]
     segregation = []
-    for stop, (interval, local, concentration) in states.items():
-        values, volumes = problem.observe(flow, interval, local, concentration)
-        exact = problem.exact(flow, stop)
+    for state in states:
+        interval, concentration = flow.intervals[state.index], state.concentration
+        values, volumes = problem.observe(flow, interval, state.local, concentration)
+        exact = problem.exact(flow, state.clock)
         segregation.append(abs(intensity(values[0], volumes) - intensity(exact[0], volumes)))
 
+    ledger = state.ledger
     difference = np.abs(values[0] - exact[0])
-    held = float((concentration[0] * interval.fill(min(local, interval.end))).sum())
+    held = float((concentration[0] * interval.fill(state.local)).sum())
     initially = float((start[0] * first.fill_start).sum())
     return Result(
         problem=problem.name,
@@ -128,27 +129,44 @@ def run(
     )
 
 
-def _march(
-    problem: Problem, backend: Any, scene: MixingScene, start: FloatArray, parts: int
-) -> tuple[dict[float, State], Ledger, float, float]:
-    """Advance to every stop and the end: states there, what the backend saw, and its seconds."""
-    flow, comm = scene.flow, scene.decomposition.comm
-    backend.start(scene, start)
-    states: dict[float, State] = {}
-    ledger, before, interval, local = Ledger(), 0.0, flow.intervals[0], 0.0
-    seconds = core_seconds = 0.0
-    for stop in (*problem.stops, problem.duration):
+class _Timed:
+    """A backend as a march has it; what `advance` takes is added up.
+
+    seconds, core_seconds -- the clock's, and processor time of this process
+    """
+
+    def __init__(self, backend: Any):
+        self._backend = backend
+        self.seconds = self.core_seconds = 0.0
+
+    def advance(self, index: int, start: float, end: float) -> Ledger:
         began, core_began = clock.perf_counter(), clock.process_time()
-        for part in pairwise(np.linspace(before, stop, parts + 1).tolist()):
-            for index, begin, local in flow.schedule(*part):
-                ledger.add(backend.advance(index, begin, local))
-                interval = flow.intervals[index]
-        seconds += clock.perf_counter() - began
-        core_seconds += clock.process_time() - core_began
-        states[stop] = interval, local, backend.concentration(interval)
-        before = stop
-    of_ranks = [float(comm.allreduce(time, op=MPI.MAX)) for time in (seconds, core_seconds)]
-    return states, ledger, of_ranks[0], of_ranks[1]
+        ledger: Ledger = self._backend.advance(index, start, end)
+        self.seconds += clock.perf_counter() - began
+        self.core_seconds += clock.process_time() - core_began
+        return ledger
+
+    def concentration(self, interval: Interval, time: float) -> FloatArray:
+        concentration: FloatArray = self._backend.concentration(interval)
+        return concentration
+
+
+def _marched(
+    problem: Problem, backend: Any, scene: MixingScene, start: FloatArray, parts: int
+) -> tuple[list[State], float, float]:
+    """States at every stop and the end, and what it took: seconds, and those of the processor."""
+    backend.start(scene, start)
+    stops, timed = (*problem.stops, problem.duration), _Timed(backend)
+    landings = [
+        time
+        for stretch in pairwise((0.0, *stops))
+        for time in np.linspace(*stretch, parts + 1)[1:-1].tolist()
+    ]
+    states = list(march(scene.flow, timed, stops, State(start), landings=landings))
+    comm = scene.decomposition.comm
+    times = (timed.seconds, timed.core_seconds)
+    seconds, core_seconds = (float(comm.allreduce(time, op=MPI.MAX)) for time in times)
+    return states, seconds, core_seconds
 
 
 def fitted_order(results: Sequence[Result], norm: str = "l1") -> float:
