@@ -18,6 +18,7 @@ _CHOICE: dict[tuple[str, ...], str] = {
     ("mixing",): "name",
     ("operation", "loading"): "pattern",
 }
+_PROVENANCE = "provenance"  # texts that tell where a table's other values come from
 
 
 def read_layer(file: Path) -> dict[str, Any]:
@@ -83,7 +84,7 @@ def merged(
     path: tuple[str, ...] = (),
     within_layer: bool = False,
 ) -> dict[str, Any]:
-    """The tables of `base` with those of `over` on top.
+    """The tables of `base` with those of `over` on top; a value loses the provenance of another.
 
     within_layer -- whether tables whose keys exclude each other are merged, too
     """
@@ -94,6 +95,10 @@ def merged(
         if merge and (within_layer or not _replaces(here, old or {}, value)):
             value = merged(old or {}, value, here, within_layer)
         result[key] = value
+    told = result.get(_PROVENANCE)
+    if isinstance(told, Mapping) and not within_layer:  # of values that are no longer there
+        stale = over.keys() - set(over.get(_PROVENANCE, ()))
+        result[_PROVENANCE] = {key: text for key, text in told.items() if key not in stale}
     return result
 
 

@@ -21,6 +21,7 @@ from scaleup.case.case import Case
 from scaleup.case.composing import compose, plugin_options
 from scaleup.case.config import PLUGIN_SECTIONS
 from scaleup.case.forms import options_by_form
+from scaleup.command.material import material
 from scaleup.system import registry
 from scaleup.system.blame import told
 from scaleup.system.errors import InputError, ScaleupError, shown
@@ -41,6 +42,8 @@ def cli(debug: bool) -> None:
     global _shows_tracebacks
     _shows_tracebacks = debug
 
+
+cli.add_command(material)
 
 all_ranks_option = click.option(
     "--all-ranks",

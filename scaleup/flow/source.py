@@ -163,7 +163,7 @@ def _wanted(case: Case) -> _Wanted:
             **_dump(case.options("geometry")),
             "fingerprint": case.geometry.fingerprint,
         },
-        "material": _dump(case.material),
+        "material": _dump(case.material, exclude={"provenance"}),
         "speed": case.operation.speed,
         "fill_volume": case.fill_volume,
     }
@@ -179,6 +179,6 @@ def _plugins(case: Case) -> tuple[Any, Any]:
     return case.plugin_class("flow"), case.plugin_class("geometry")
 
 
-def _dump(model: Any) -> dict[str, Any]:
-    dumped: dict[str, Any] = model.model_dump(mode="json")
+def _dump(model: Any, **how: Any) -> dict[str, Any]:
+    dumped: dict[str, Any] = model.model_dump(mode="json", **how)
     return dumped

@@ -151,6 +151,7 @@ def compile_report(
             "counts": list(flow.grid.counts),
             "active_cells": len(interval.cells),
         },
+        **({"material": {"provenance": told}} if (told := case.material.provenance) else {}),
         "flow": _flow_figures(outcome),
         "mixing": mixing,
         "ledger": {

@@ -27,6 +27,7 @@ _FREE = {
     "operation.revolutions",
     "output.checkpoint_every",
 }
+_FREE_TABLES = ("material.provenance.",)
 _ABSENT = "not given"
 
 
@@ -83,7 +84,9 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     return [
         f"{key} = {new.get(key, _ABSENT)} (was {old.get(key, _ABSENT)})"
         for key in sorted(old.keys() | new.keys())
-        if key not in _FREE and old.get(key, _ABSENT) != new.get(key, _ABSENT)
+        if key not in _FREE
+        and not key.startswith(_FREE_TABLES)
+        and old.get(key, _ABSENT) != new.get(key, _ABSENT)
     ]
 
 

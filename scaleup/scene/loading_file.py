@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import io
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from scaleup.space.grid import FloatArray
 from scaleup.system.errors import InputError
-from scaleup.system.files import read_text
+from scaleup.system.tables import read_table
 
 _SUM = 1e-3  # by which concentrations at a point may miss 1; they are then scaled
 _AXES = ("x", "y", "z")
@@ -56,23 +55,12 @@ def read_loading(file: Path, dimension: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _from_csv(file: Path, dimension: int) -> tuple[FloatArray, list[FloatArray]]:
-    """Columns named in the first line: x, y, z, and any others are concentrations.
-
-    As spreadsheets save it: split at commas, or at semicolons or tabs, where numbers may have
-    decimal commas.
-    """
-    lines = read_text(file).splitlines()
-    head = lines[0] if lines else ""
-    mark = next((mark for mark in ";\t" if mark in head), ",")
-    names = [name.strip().lower() for name in next(csv.reader([head], delimiter=mark), [])]
+    """Columns named in the first line: x, y, z, and any others are concentrations."""
+    heads, entries = read_table(file)
+    names = [name.lower() for name in heads]
     missing = [axis for axis in _AXES[:dimension] if axis not in names]
     if missing:
         raise ValueError(f"the first line names no column {', '.join(missing)}")
-    entries = [row for row in csv.reader(lines[1:], delimiter=mark) if any(row)]
-    if mark != ",":
-        entries = [[entry.replace(",", ".") for entry in row] for row in entries]
-    if not entries or any(len(row) != len(names) for row in entries):
-        raise ValueError(f"not every line holds {len(names)} numbers")
     rows = np.array([[float(entry) for entry in row] for row in entries])
     points = rows[:, [names.index(axis) for axis in _AXES[:dimension]]]
     return points, [rows[:, k] for k, name in enumerate(names) if name not in _AXES]

@@ -38,6 +38,9 @@ class Material(Model):
     """m"""
     grain_density: units.Density = 2500.0
     """kg/m^3"""
+    provenance: dict[str, Annotated[str, Field(max_length=1000)]] | None = None
+    """where the values come from, a text for each key, as `scaleup material fit` writes them; kept
+    with the run and in its report, without a part in what is computed"""
 
     @model_validator(mode="after")
     def _bed_is_lighter_than_grains(self) -> Self:

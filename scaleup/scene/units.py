@@ -73,7 +73,7 @@ SPEED = Quantity("rad/s", ("rpm",), ("rpm",))
 RATE = Quantity("1/s")
 DENSITY = Quantity("kg/m^3", ("kg/m^3",), ("g/cm^3",))
 MASS = Quantity("kg", ("kg", "g", "mg"), ("g", "mg"))
-PRESSURE = Quantity("Pa", ("kPa", "Pa"), ("kPa",))
+PRESSURE = Quantity("Pa", ("MPa", "kPa", "Pa"), ("kPa",))
 TIME = Quantity("s", ("s",), ("ms",))
 SHARE = Quantity("", (), ("%",))
 

@@ -1,0 +1,1 @@
+"""What a powder is, from tables measured in the laboratory."""
