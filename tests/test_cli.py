@@ -22,7 +22,8 @@ KEYS = {
 
 
 def test_a_run_folder_is_complete_and_its_report_has_every_key(scaleup, tmp_path):
-    done = scaleup("simulate", *QUICK, "--output", "run")
+    told = ("--set", "material.provenance.friction_angle='a shear test'")
+    done = scaleup("simulate", *QUICK, *told, "--output", "run")
     assert done.returncode == 0, done.stderr
     run = tmp_path / "run"
     for name in ("config.toml", "results.h5", "results.xdmf", "report.json", "report.html",
@@ -47,7 +48,10 @@ def test_a_run_folder_is_complete_and_its_report_has_every_key(scaleup, tmp_path
     assert mixing["revolutions"][-1] == 0.5
     assert report["operation"]["froude_number"] == pytest.approx(0.6283185**2 * 0.07 / 9.8)
     assert len(report["mixing"]["centre_line"]) == 2
-    assert "<img" in (run / "report.html").read_text()
+    assert report["material"]["provenance"] == {"friction_angle": "a shear test"}
+    page = (run / "report.html").read_text()
+    assert "<img" in page
+    assert "a shear test" in page
 
     # the same flow, another diffusion constant: reused, and said
     again = scaleup("simulate", *QUICK, "--set", "diffusion.k1=0.1", "--output", "again")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from scaleup.material import findings
 from scaleup.material.compression import Elasticity, fit_unloading
-from scaleup.material.findings import Finding
+from scaleup.material.findings import Finding, of_unloading, of_wall_locus, of_yield_locus
+from scaleup.material.material_file import material_table
 from scaleup.material.measured import COMPRESSION_TABLE, SHEAR_TABLE, Column, read_measured
 from scaleup.material.yield_locus import YieldLocus, fit_yield_locus
 from scaleup.space.grid import FloatArray
@@ -39,10 +39,12 @@ class Fits:
         measured = read_measured(file, columns)
         try:
             found = fit(measured)
+            findings = told(found, f"{file.name} (sha256 {_hash(file)})")
+            material_table(findings, {})  # values that no powder has are of this file
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
         self.drawn[f"{what}: {file.name}"] = found
-        self.findings += told(found, f"{file.name} (sha256 {_hash(file)})")
+        self.findings += findings
         self.remarks += [f"{file.name}: {remark}" for remark in found.remarks]
 
 
@@ -61,7 +63,7 @@ def fit_tables(
         lambda table: fit_yield_locus(
                 table["normal"], table["shear"], cohesionless=cohesionless
             ),
-        findings.of_yield_locus,
+        of_yield_locus,
     )  # fmt: skip
     if wall:
         fits.add(
@@ -69,13 +71,13 @@ def fit_tables(
             lambda table: fit_yield_locus(
                 table["normal"], table["shear"], cohesionless=cohesionless, intercept="adhesion"
             ),
-            findings.of_wall_locus,
+            of_wall_locus,
         )  # fmt: skip
     if compression:
         fits.add(
             "uniaxial compression", compression, COMPRESSION_TABLE,
             lambda table: fit_unloading(**table, part=unloading_part),
-            findings.of_unloading,
+            of_unloading,
         )  # fmt: skip
     return fits
 

@@ -99,33 +99,32 @@ def _place(heads: list[str], column: Column) -> int:
 
 def _measures(head: str, column: Column) -> bool:
     """Whether a head names what is wanted."""
-    for name in (head, *(name for name, _ in _split(head))):
+    for name in (head, *(name for name, _, _ in _split(head))):
         words = re.sub(r"[\s_]+", " ", name).strip().lower()
         if re.search(column.words, words) or re.fullmatch(column.symbol, words):
             return True
     return False
 
 
-def _split(head: str) -> Iterator[tuple[str, str]]:
-    """Name and unit of a head, in each way in which it may carry one, the surest first."""
+def _split(head: str) -> Iterator[tuple[str, str, bool]]:
+    """Name and unit of a head in each way in which it may carry one, and whether it is marked."""
     for form in (*_WITH_UNIT, _LAST_WORD):
         match = re.fullmatch(form, head)
         if match and match["unit"].strip():
-            yield match["name"].strip(), match["unit"].strip()
+            yield match["name"].strip(), match["unit"].strip(), form is not _LAST_WORD
 
 
 def _factor(head: str, column: Column) -> float:
     """What a column's numbers are multiplied with to be in SI units. Raises ValueError."""
-    marked = any(re.fullmatch(form, head) for form in _WITH_UNIT)
     refused: list[ValueError] = []
-    for _, unit in _split(head):
+    for _, unit, marked in _split(head):
         if marked and not column.unit and unit in _NO_UNIT:
             return 1.0
         try:
             return to_si(f"1 {unit}", column.unit)
         except ValueError as error:
-            refused.append(error)
-    if marked and refused:
+            refused += [error] if marked else []
+    if refused:
         raise ValueError(f"the unit of {shown(head)}: {refused[0]}")
     raise ValueError(
         f"{shown(head)} carries no unit; write '{column.name} [{column.example}]'"

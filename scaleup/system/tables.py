@@ -12,7 +12,7 @@ def read_table(file: Path) -> tuple[list[str], list[list[str]]]:
     """Names of the columns, and the entries of each row, as texts without space around them.
 
     Split at commas, or at semicolons or tabs, where numbers may have decimal commas (they become
-    points). Empty lines do not count, nor do those that begin with `#`.
+    points). Empty lines do not count, nor do those that begin with `#`; without others all is empty.
     Raises OSError, and ValueError if it is no such table.
     """
     lines = [line for line in read_text(file).splitlines() if not line.lstrip().startswith("#")]
@@ -22,7 +22,9 @@ def read_table(file: Path) -> tuple[list[str], list[list[str]]]:
         rows = [[entry.strip() for entry in row] for row in csv.reader(filled, delimiter=mark)]
     except csv.Error as error:
         raise ValueError(f"is no table ({error})") from error
-    names, entries = (rows[0], rows[1:]) if rows else ([], [])
+    if not rows:
+        return [], []
+    names, entries = rows[0], rows[1:]
     if not entries or any(len(row) != len(names) for row in entries):
         raise ValueError(f"not every line holds {len(names)} numbers")
     if mark != ",":

