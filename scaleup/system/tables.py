@@ -12,7 +12,8 @@ def read_table(file: Path) -> tuple[list[str], list[list[str]]]:
     """Names of the columns, and the entries of each row, as texts without space around them.
 
     Split at commas, or at semicolons or tabs, where numbers may have decimal commas (they become
-    points). Empty lines do not count, nor do those that begin with `#`; without others all is empty.
+    points). Empty lines do not count, nor do those that begin with `#`; both
+    lists are empty without others.
     Raises OSError, and ValueError if it is no such table.
     """
     lines = [line for line in read_text(file).splitlines() if not line.lstrip().startswith("#")]
