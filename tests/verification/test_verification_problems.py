@@ -58,7 +58,7 @@ def test_the_study_takes_no_step_that_lands_cells_on_cells(name):
     problem = EVERY[name]
     n = problem.sizes[0]
     asked = Asked(None)
-    with pytest.raises(StopIteration):
+    with pytest.raises(EndError):
         run(problem, asked, n)
     flow = problem.flow(n)
 
@@ -69,6 +69,10 @@ def test_the_study_takes_no_step_that_lands_cells_on_cells(name):
     landed = sorted_values(problem.duration / problem.landings)
     assert landed == pytest.approx(start, abs=1e-9)
     assert np.abs(sorted_values(asked.end) - start).max() > 1e-3
+
+
+class EndError(Exception):
+    """No need to go on."""
 
 
 class Asked(Mixing):
@@ -88,7 +92,7 @@ class Asked(Mixing):
     def advance(self, index, start, end):
         self.end = end
         if end > 0.01:
-            raise StopIteration
+            raise EndError
         return Ledger()
 
 
