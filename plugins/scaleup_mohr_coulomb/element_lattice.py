@@ -8,6 +8,8 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
+from . import surface_kernels
+
 _SUBDIVISIONS = 4
 # Three Gauss points and weights on [0, 1].
 TIMES = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
@@ -23,15 +25,14 @@ class ElementLattice:
     def __init__(self, mesh: Any, nodes: NDArray[Any], elements: NDArray[Any]) -> None:
         """``nodes`` (n_nodes, 2) in m, ``elements`` (n_elements, 6) their numbers."""
         self._elements = elements
-        self._barycentric, self._shapes, self.triangles, self._rim = _quadratic_lattice(
-            _SUBDIVISIONS
-        )
+        barycentric, self._shapes, self.triangles, self._rim = _quadratic_lattice(_SUBDIVISIONS)
+        self._corners = np.ascontiguousarray(barycentric.T)
         self.points = np.einsum("ln,end->eld", self._shapes, nodes[elements])
         corners = nodes[elements[:, :3]]
         sides = corners[:, 1:] - corners[:, :1]
         self._turn = np.sign(np.linalg.det(sides))
         rule = ngs.IntegrationRule(
-            points=[(float(a), float(b)) for a, b, _ in self._barycentric],
+            points=[(float(a), float(b)) for a, b, _ in barycentric],
             weights=[0.0] * len(self._shapes),
         )
         self._mapped = mesh.MapToAllElements(rule, ngs.VOL)
@@ -43,20 +44,18 @@ class ElementLattice:
 
     def values(self, nodal: NDArray[Any]) -> NDArray[Any]:
         """Of a function with these values (n_nodes,): on the lattice (n_elements, n_points)."""
-        found: NDArray[Any] = nodal[self._elements] @ self._shapes.T
+        found: NDArray[Any] = surface_kernels.lattice_values(nodal, self._elements, self._shapes)
         return found
 
     def sampled(self, function: Any) -> NDArray[Any]:
         """Of a scalar coefficient function: its values (n_elements, n_points)."""
         return np.asarray(function(self._mapped)).reshape(len(self._elements), -1)
 
-    def areas(self, values: NDArray[Any], elements: Any = slice(None)) -> NDArray[Any]:
-        """Area (n,) in m^2 of ``elements`` where the function of lattice ``values`` is positive."""
-        inside = values > 0.0
-        found = np.where(inside[:, 0], self._whole[elements], 0.0)
-        cut = inside.any(axis=1) & ~inside.all(axis=1)
-        share = inside_triangle(values[cut][:, self.triangles])
-        found[cut] = (self._areas[elements][cut] * share).sum(axis=1)
+    def areas(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Area (n_elements,) in m^2 where the function of lattice ``values`` is positive."""
+        found: NDArray[Any] = surface_kernels.positive_areas(
+            values, self.triangles, self._areas, self._whole
+        )
         return found
 
     def contour_weights(self, values: NDArray[Any], shift: float) -> NDArray[Any]:
@@ -64,13 +63,9 @@ class ElementLattice:
 
         By differences of the area, the function of lattice ``values`` being shifted by ``shift``.
         """
-        found = np.zeros((len(values), 3))
-        near = np.flatnonzero((values.min(axis=1) < shift) & (values.max(axis=1) > -shift))
-        for vertex, weight in enumerate(self._barycentric.T):
-            more, less = (
-                self.areas(values[near] + sign * shift * weight, near) for sign in (0.5, -0.5)
-            )
-            found[near, vertex] = (more - less) / shift
+        found: NDArray[Any] = surface_kernels.contour_weights(
+            values, shift, self._corners, self.triangles, self._areas, self._whole
+        )
         return found
 
     def outflow(
@@ -83,11 +78,15 @@ class ElementLattice:
         time). What leaves an element enters its neighbour, to round-off.
         """
         steps = np.diff(stream_function[:, self._rim], axis=1) * self._turn[:, None]
-        found = np.zeros(len(self._elements))
-        for time, weight in zip(TIMES, WEIGHTS, strict=True):
-            values = ((1.0 - time) * before + time * after)[:, self._rim]
-            found += weight * (_inside_segment(values[:, :-1], values[:, 1:]) * steps).sum(axis=1)
+        found: NDArray[Any] = surface_kernels.outflow(
+            before, after, steps, self._rim, TIMES, WEIGHTS
+        )
         return found
+
+    def contour(self, values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """End points, each (n, 2) in m, of the zero contour's segments."""
+        start, end = surface_kernels.contour(values, self.points, self.triangles)
+        return start, end
 
 
 def _quadratic_lattice(
@@ -117,21 +116,3 @@ def _quadratic_lattice(
     rim += [number[0, divisions - k] for k in along]
     rim.append(number[0, 0])
     return np.column_stack((a, b, c)), shapes, np.array(triangles), np.array(rim)
-
-
-def inside_triangle(values: NDArray[Any]) -> NDArray[Any]:
-    """Part of each triangle where the linear function of corner ``values`` (..., 3) is positive."""
-    low, middle, high = np.moveaxis(np.sort(values, axis=-1), -1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        top = high**2 / ((high - low) * (high - middle))
-        bottom = low**2 / ((high - low) * (middle - low))
-    cut = np.where(middle > 0.0, 1.0 - bottom, top)
-    return np.where(low > 0.0, 1.0, np.where(high <= 0.0, 0.0, cut))
-
-
-def _inside_segment(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
-    """Part of each segment where the linear function of these end values is positive."""
-    low, high = np.minimum(one, other), np.maximum(one, other)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cut = high / (high - low)
-    return np.where(low > 0.0, 1.0, np.where(high <= 0.0, 0.0, cut))

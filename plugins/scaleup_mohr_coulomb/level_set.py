@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 
 from .element_lattice import ElementLattice
 from .mesh import surface_normal, surface_offset
+from .surface_kernels import distances
 from .vertex_shifts import vertex_shifts
 
-_NEIGHBOURS = 8
 _SHIFTS = 8
 # Sweeps that give elements the area they should hold, each limited to this part of the interface's
 # half width, and smoothed over so many half widths.
@@ -49,6 +49,7 @@ class LevelSet:
         self.fraction = powder_fraction(self.field, half_width)
         self._edges = np.array([[v.nr for v in edge.vertices] for edge in mesh.edges])
         self._elements = self._element_nodes()
+        self._corners = np.ascontiguousarray(self._elements[:, :3])
         coordinate = ngs.GridFunction(self.space)
         columns = []
         for component in (ngs.x, ngs.y):
@@ -78,13 +79,17 @@ class LevelSet:
         """Values at vertices and edge midpoints; NGSolve's edge functions are -1/8 at midpoints."""
         values: NDArray[Any] = function.vec.FV().NumPy().copy()
         n_vertices = self.mesh.nv
-        values[n_vertices:] = values[self._edges].mean(axis=1) - values[n_vertices:] / 8.0
+        values[n_vertices:] = self._edge_means(values) - values[n_vertices:] / 8.0
         return values
+
+    def _edge_means(self, values: NDArray[Any]) -> NDArray[Any]:
+        means: NDArray[Any] = 0.5 * (values[self._edges[:, 0]] + values[self._edges[:, 1]])
+        return means
 
     def _set_nodal(self, values: NDArray[Any]) -> None:
         n_vertices = self.mesh.nv
         coefficients = values.copy()
-        coefficients[n_vertices:] = 8.0 * (values[self._edges].mean(axis=1) - values[n_vertices:])
+        coefficients[n_vertices:] = 8.0 * (self._edge_means(values) - values[n_vertices:])
         self.field.vec.FV().NumPy()[:] = coefficients
 
     def set_plane(self, bed_area: float, angle: float) -> None:
@@ -118,27 +123,7 @@ class LevelSet:
 
     def contour(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """End points, each (n, 2) in m, of the segments of the zero contour."""
-        values = self.lattice_values()
-        crossed = (values > 0.0).any(axis=1) & (values <= 0.0).any(axis=1)
-        values = values[crossed][:, self.lattice.triangles].reshape(-1, 3)
-        corners = self.lattice.points[crossed][:, self.lattice.triangles].reshape(-1, 3, 2)
-        inside = values > 0.0
-        n_inside = inside.sum(axis=1)
-        cut = (n_inside == 1) | (n_inside == 2)
-        values, corners, inside, n_inside = values[cut], corners[cut], inside[cut], n_inside[cut]
-        alone = np.where(n_inside == 1, inside.argmax(axis=1), (~inside).argmax(axis=1))
-        rows = np.arange(len(values))
-
-        def crossing(turn: int) -> NDArray[Any]:
-            """Where the contour crosses the side between the lone corner and a neighbour."""
-            other = (alone + turn) % 3
-            near, far = values[rows, alone], values[rows, other]
-            weight = (near / (near - far))[:, None]
-            point: NDArray[Any] = (1.0 - weight) * corners[rows, alone]
-            point += weight * corners[rows, other]
-            return point
-
-        return crossing(1), crossing(2)
+        return self.lattice.contour(self.lattice_values())
 
     def length(self) -> float:
         """Length of the zero contour, m."""
@@ -154,14 +139,7 @@ class LevelSet:
         """
         held = self.element_areas()
         start, end = self._carried_on(*self.contour())
-        side = end - start
-        square = (side**2).sum(axis=1)
-        start, side, square = start[square > 0], side[square > 0], square[square > 0]
-        _, nearest = cKDTree(start + 0.5 * side).query(self._nodes, k=min(_NEIGHBOURS, len(start)))
-        nearest = nearest.reshape(len(self._nodes), -1)
-        to_node = self._nodes[:, None, :] - start[nearest]
-        along = np.clip((to_node * side[nearest]).sum(axis=2) / square[nearest], 0.0, 1.0)
-        distance = np.linalg.norm(to_node - along[:, :, None] * side[nearest], axis=2).min(axis=1)
+        distance = distances(self._nodes, start, end)
         self._set_nodal(np.copysign(distance, self._nodal(self.field)))
         self.hold(held)
 
@@ -196,9 +174,7 @@ class LevelSet:
             now = self.lattice.areas(values)
             lengths = self.lattice.contour_weights(values, 1e-3 * self._half_width)
             spread = _SPREAD * self._half_width
-            shifts = vertex_shifts(
-                self._elements[:, :3], areas - now, lengths, spread, self.mesh.nv
-            )
+            shifts = vertex_shifts(self._corners, areas - now, lengths, spread, self.mesh.nv)
             self.field.vec.FV().NumPy()[: self.mesh.nv] += np.clip(shifts, -most, most)
 
     def _carried_on(

@@ -8,12 +8,13 @@ import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
 
-from .element_lattice import TIMES, WEIGHTS, inside_triangle
+from .element_lattice import TIMES, WEIGHTS
 from .element_matrix import ElementMatrix
 from .element_shapes import ElementShapes
 from .positive_system import PositiveSystem
 from .shared_matrix import Numbering
 from .space_level_set import EDGES, SpaceLevelSet
+from .surface_kernels import positive_shares
 from .surface_transport import Transport
 
 # Part of the diagonal that fixes the potential's constant.
@@ -139,5 +140,6 @@ class ExchangingTransport:
         nodes = self.fluxes.nodes[cut]
         for time, weight in zip(TIMES, WEIGHTS, strict=True):
             values = ((1.0 - time) * before + time * after)[nodes]
-            outflow[cut] += weight * (inside_triangle(values) * fluxes[cut]).sum(axis=(1, 2))
+            shares = positive_shares(values.reshape(-1, 3)).reshape(values.shape[:-1])
+            outflow[cut] += weight * (shares * fluxes[cut]).sum(axis=(1, 2))
         level_set.hold(held - self._time_step.Get() * outflow)

@@ -9,8 +9,11 @@ from netgen.occ import Circle, Cylinder, OCCGeometry, Pnt, Z
 
 from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.field_system import FieldSystem
+from scaleup_mohr_coulomb.level_set import LevelSet
+from scaleup_mohr_coulomb.surface_kernels import distances, positive_shares
 from scaleup_mohr_coulomb.surface_transport import Transport
 from scaleup_mohr_coulomb.velocity_terms import VelocityTerms
+from scaleup_mohr_coulomb.vertex_shifts import vertex_shifts
 
 TIME_STEP = 0.01
 
@@ -123,3 +126,71 @@ def test_a_field_system_solves_for_what_its_blocks_say(mesh, order):
     loads = (shapes.weights * shapes.sampled(wanted)) @ values
     found = system.solve(loads, np.zeros(space.ndof))
     assert found == pytest.approx(wanted.vec.FV().NumPy(), abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def wavy():
+    """A level set with a wave and an island on a disc."""
+    disc = Circle(Pnt(0, 0), 1).Face()
+    disc = ngs.Mesh(OCCGeometry(disc, dim=2).GenerateMesh(maxh=0.2)).Curve(2)
+    level_set = LevelSet(disc, 0.1)
+
+    def distance(points):
+        island = 0.15 - np.hypot(points[:, 0], points[:, 1] - 0.6)
+        return np.maximum(0.1 * np.sin(5.0 * points[:, 0]) - points[:, 1], island)
+
+    level_set.set_surface(1.6, distance)
+    return level_set
+
+
+def test_areas_contour_and_weights_on_the_lattice_agree(wavy):
+    """The divergence theorem of what is inside; weights are derivatives of the area."""
+    lattice, values = wavy.lattice, wavy.lattice_values()
+    corners = lattice.points[:, lattice.triangles]
+    inside = np.where(values[:, lattice.triangles] > 0.0, 1.0, 0.0).mean(axis=(1, 2))
+    areas = lattice.areas(values)
+    whole = lattice.areas(np.ones_like(values))
+    assert np.array_equal(areas[inside == 1.0], whole[inside == 1.0])
+    assert not areas[inside == 0.0].any()
+    assert np.all((areas >= 0.0) & (areas <= whole * (1 + 1e-12)))
+
+    a, b, c = np.moveaxis(values[:, lattice.triangles], -1, 0)
+    alone = (a > 0.0) & (b <= 0.0) & (c <= 0.0)
+    share = np.zeros(a.shape)
+    share[alone] = (a**2 / ((a - b) * (a - c)))[alone]
+    found = positive_shares(np.stack([a, b, c], axis=-1)[alone])
+    assert found == pytest.approx(share[alone], rel=1e-12)
+    assert positive_shares(-np.stack([a, b, c], axis=-1)[alone]) == pytest.approx(1.0 - found)
+
+    start, end = wavy.contour()
+    away = distances(0.5 * (start + end), start, end)
+    assert away == pytest.approx(0.0, abs=1e-12)
+    points, along = corners.reshape(-1, 2)[:50], np.linspace(0.0, 1.0, 2001)[:, None, None]
+    dense = (along * start + (1.0 - along) * end).reshape(-1, 2)
+    apart = np.array([np.linalg.norm(dense - point, axis=1).min() for point in points])
+    assert distances(points, start, end) == pytest.approx(apart, abs=1e-4)
+    length = np.linalg.norm(end - start, axis=1).sum()
+    weights = lattice.contour_weights(values, 1e-6)
+    assert weights.sum() == pytest.approx(length, rel=0.1)  # |grad phi| is not 1
+
+
+def test_shifts_at_vertices_solve_their_equations(wavy):
+    """Against a dense solution on all vertices near; all that is missing is given back."""
+    triangles, count, spread = wavy._corners, wavy.mesh.nv, 0.1
+    lengths = wavy.lattice.contour_weights(wavy.lattice_values(), 1e-4)
+    missing = 1e-4 * np.random.default_rng(1).normal(size=len(triangles)) * lengths.any(axis=1)
+    found = vertex_shifts(triangles, missing, lengths, spread, count)
+
+    near = np.isin(triangles, triangles[lengths.any(axis=1)]).any(axis=1)
+    matrix, wanted = np.zeros((count, count)), np.zeros(count)
+    for triangle, want, length in zip(triangles[near], missing[near], lengths[near], strict=True):
+        matrix[np.ix_(triangle, triangle)] += 0.5 * spread * (3.0 * np.eye(3) - 1.0)
+        matrix[triangle, triangle] += length
+        wanted[triangle] += want / 3.0
+    used = np.unique(triangles[near])
+    assert found[used] == pytest.approx(
+        np.linalg.solve(matrix[np.ix_(used, used)], wanted[used]), rel=1e-6, abs=1e-12
+    )
+    assert np.delete(found, used) == pytest.approx(0.0)
+    assert (lengths * found[triangles]).sum() == pytest.approx(missing.sum(), rel=1e-6)
+    assert not vertex_shifts(triangles, 0.0 * missing, 0.0 * lengths, spread, count).any()
