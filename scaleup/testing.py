@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from scaleup.case.composing import compose
 from scaleup.case.vessel_shape import axis_meets
+from scaleup.contract import Scene
 from scaleup.flow.check import check_flow as check_flow
 from scaleup.mixing.check import CheckedMixing
 from scaleup.mixing.scene import mixing_scene as mixing_scene
@@ -183,6 +185,12 @@ class _SampledGeometry:
                 f"the solid's centre of volume is at {_point(stated)} m, but that of the inside by "
                 f"signed_distance at {_point(centre)} m"
             )
+
+
+def small_scene(geometry: str, cells: float = 2000) -> Scene:
+    """The default scene of an installed geometry on few cells, to try a flow model on."""
+    flags = {"geometry": {"name": geometry}, "grid": {"cells": cells}}
+    return compose(None, flags=flags, flow_must_accept=False).scene({})
 
 
 def check_mixing(backend: Any, scene: Any, concentration: Any, duration: float) -> None:

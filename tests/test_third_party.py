@@ -1,15 +1,27 @@
 """A third party's distribution, installed in an environment of its own, is found and runs."""
 
+import json
 import os
+import re
+import runpy
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
+from mpi4py import MPI
 
-from scaleup.command.skeleton import skeleton_files
+from scaleup.case.composing import compose
+from scaleup.case.config import PLUGIN_SECTIONS
+from scaleup.command.cli import cli
+from scaleup.command.skeleton import make_skeleton, skeleton_files
+from scaleup.run.pipeline import run
+from scaleup.run.plugin_check import check_plugin
+from scaleup.system import registry
 
 HERE = Path(__file__).parent
 EXAMPLE = HERE.parent / "docs" / "example_plugin"
@@ -17,9 +29,9 @@ EXAMPLE = HERE.parent / "docs" / "example_plugin"
 
 @pytest.fixture
 def third_party(store, tmp_path):
-    """Install a distribution beside ours; returns the command line there and site-packages."""
+    """Install distributions beside ours; returns the command line there and site-packages."""
 
-    def install(source):
+    def install(*sources):
         environment = tmp_path / "env"
         subprocess.run(
             [sys.executable, "-m", "venv", "--system-site-packages", "--without-pip", environment],
@@ -29,10 +41,10 @@ def third_party(store, tmp_path):
         packages = next((environment / "lib").glob("python3*/site-packages"))
         ours = sysconfig.get_paths()["purelib"]
         (packages / "ours.pth").write_text(f"import site; site.addsitedir({ours!r})\n")
-        copy = shutil.copytree(source, tmp_path / "source")
+        copies = [shutil.copytree(source, tmp_path / "sources" / source.name) for source in sources]
         installed = subprocess.run(
             [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps",
-             "--no-build-isolation", "--no-index", copy],
+             "--no-build-isolation", "--no-index", *copies],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert installed.returncode == 0, installed.stderr
@@ -49,11 +61,14 @@ def third_party(store, tmp_path):
     return install
 
 
-def test_an_installed_distribution_appears_and_runs(third_party, tmp_path):
-    scaleup, packages = third_party(HERE / "third_party")
+def test_installed_distributions_appear_and_run(third_party, tmp_path):
+    new = [make_skeleton(f"new-{kind}", tmp_path, kind) for kind in PLUGIN_SECTIONS]
+    scaleup, packages = third_party(HERE / "third_party", *new)
     listed = scaleup("plugins", "list")
     assert "tin                  scaleup-tin 0.3" in listed.stdout
     assert "drum" in listed.stdout
+    for kind in PLUGIN_SECTIONS:
+        assert f"new-{kind}".ljust(21) + f"scaleup-new-{kind} 0.1.0" in listed.stdout
     checked = scaleup("plugins", "check", "tin")
     assert checked.returncode == 0, checked.stdout + checked.stderr
     assert "skip" not in checked.stdout
@@ -72,39 +87,83 @@ def test_an_installed_distribution_appears_and_runs(third_party, tmp_path):
     assert "scaleup-tin 0.3 cannot be imported" in broken.stderr
 
 
-def test_a_new_plugin_passes_its_checks_until_it_is_broken(third_party, scaleup, tmp_path):
-    made = scaleup("plugins", "new", "lens-drum")
-    assert made.returncode == 0, made.stderr
-    assert "pip install -e lens-drum" in made.stdout
-    installed, packages = third_party(tmp_path / "lens-drum")
-    command = ("plugins", "check", "lens-drum", "--set", "mixing.name=lax-wendroff")
-    checked = installed(*command)
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    lines = checked.stdout.splitlines()
-    assert sum(line.startswith("ok ") for line in lines) >= 10
-    assert "ok   the mirror planes mirror the vessel" in lines
+@pytest.fixture
+def registered(monkeypatch, tmp_path):
+    """Make a plugin and put it on the path with the entry point of its pyproject.toml."""
 
-    code = packages / "scaleup_lens_drum" / "__init__.py"
-    code.write_text(code.read_text().replace("np.pi / 3", "np.pi / 2"))
-    checked = installed(*command)
-    assert checked.returncode == 1
-    assert "FAIL volume agrees with quadrature" in checked.stdout
-    assert checked.stderr.startswith("Error: ")
-    good = code.read_text().replace("np.pi / 2", "np.pi / 3")
-    code.write_text(good.replace("return np.minimum(np", "return -np.minimum(np"))  # inside out
-    checked = installed(*command)
-    assert checked.returncode == 1
-    assert "FAIL the box lies around the inside" in checked.stdout
-    assert "skip the flow 'surface-layer' solves it: first mend what failed" in checked.stdout
-    code.write_text(code.read_text() + "\nraise RuntimeError('half done')\n")
-    checked = installed(*command)
-    assert checked.returncode in (1, 2)
-    assert "half done" in checked.stdout + checked.stderr
-    assert "Traceback" not in checked.stderr
+    def register(name, kind):
+        folder = make_skeleton(name, tmp_path, kind)
+        project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+        info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+        info.mkdir()
+        metadata = (
+            f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+        )
+        (info / "METADATA").write_text(metadata)
+        ((group, points),) = project["entry-points"].items()
+        lines = [f"[{group}]", *(f"{name} = {where}" for name, where in points.items())]
+        (info / "entry_points.txt").write_text("\n".join(lines))
+        monkeypatch.syspath_prepend(folder)
+        return folder
+
+    return register
+
+
+@pytest.mark.parametrize("kind", PLUGIN_SECTIONS)
+def test_a_new_plugin_of_each_kind_passes_its_checks_and_its_tests(store, registered, kind):
+    folder = registered(f"new-{kind}", kind)
+    settings = ["mixing.name=lax-wendroff"] if kind == "geometry" else []
+    found = list(check_plugin(kind, f"new-{kind}", settings, MPI.COMM_SELF))
+    assert {finding.outcome for finding in found} == {"ok"}, found
+    tests = runpy.run_path(str(folder / "tests" / f"test_{kind}.py"))
+    for name, test in tests.items():
+        if name.startswith("test_"):
+            test()
+
+
+def test_new_flow_and_mixing_plugins_carry_a_run(store, registered, tmp_path):
+    registered("slab", "flow")
+    registered("donor", "mixing")
+    flags = {"flow": {"name": "slab"}, "mixing": {"name": "donor"}}
+    case = compose(None, ["grid.cells=2000", "operation.revolutions=0.5"], flags)
+    run(case, tmp_path / "run", MPI.COMM_SELF)
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert 0.2 < report["mixing"]["segregation_intensity"][-1] < 0.5
+    assert abs(report["ledger"]["mass_drift"]) < 1e-12
+
+
+def test_a_geometry_that_fails_its_checks_is_not_given_to_a_flow(store, monkeypatch):
+    plugin = registry.load("geometry", "tote")
+    right = plugin.signed_distance
+    monkeypatch.setattr(plugin, "signed_distance", lambda self, points: -right(self, points) + 0.1)
+    found = {each.title: each for each in check_plugin("geometry", "tote", [], MPI.COMM_SELF)}
+    assert found["the box lies around the inside"].outcome == "FAIL"
+    skipped = found["the flow 'surface-layer' solves it"]
+    assert str(skipped).startswith("skip")
+    assert skipped.sentence == "first mend what failed above"
+
+
+def test_the_command_says_what_comes_next(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    made = CliRunner().invoke(cli, ["plugins", "new", "slab", "--kind", "flow"])
+    assert "pip install -e slab --no-deps --no-build-isolation" in made.output
+    assert "scaleup simulate --flow slab" in made.output
+    assert (tmp_path / "slab" / "scaleup_slab" / "__init__.py").exists()
+
+
+def test_the_page_on_plugins_shows_what_is_made():
+    """Every example of a class in it is part of a file that `scaleup plugins new` writes."""
+    page = (EXAMPLE.parent / "writing_a_plugin.md").read_text(encoding="utf-8")
+    made = [text for kind in PLUGIN_SECTIONS for text in skeleton_files("tin", kind).values()]
+    shown = [block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "class " in block]
+    assert len(shown) >= 3
+    for block in shown:
+        for part in block.split("\n    ...\n"):
+            assert any(part.strip("\n") in text for text in made), part
 
 
 def test_the_example_in_the_documentation_is_the_skeleton():
-    files = skeleton_files("double-cone")
+    files = skeleton_files("double-cone", "geometry")
     for path, text in files.items():
         assert (EXAMPLE / path).read_text(encoding="utf-8") == text, path
     code = next(text for path, text in files.items() if path.name == "__init__.py")

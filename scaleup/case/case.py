@@ -12,7 +12,7 @@ import tomli_w
 from scaleup.case.config import PLUGIN_SECTIONS, Accuracy, Output, RunConfig
 from scaleup.case.validating import validated_options
 from scaleup.case.vessel_shape import Bed, level_height
-from scaleup.contract import Flow, Geometry, Grid, Law, Material, Mixing
+from scaleup.contract import Flow, Geometry, Grid, Law, Material, Mixing, Scene
 from scaleup.scene.models import Diffusion, Operation
 from scaleup.scene.shear_diffusion import shear_diffusion
 from scaleup.space.grid import grid_over
@@ -187,6 +187,17 @@ class Case:
         """Equal cells over the vessel."""
         geometry = self.geometry
         return grid_over(geometry.lower, geometry.upper, self.spacing, geometry.depth)
+
+    def scene(self, inputs: Mapping[str, Any]) -> Scene:
+        """What the flow model is asked to solve; `inputs`: as in `Scene`."""
+        return Scene(
+            geometry=self.geometry,
+            material=self.material,
+            speed=self.operation.speed,
+            fill_volume=self.fill_volume,
+            grid=self.grid,
+            inputs=inputs,
+        )
 
     @cached_property
     def bed(self) -> Bed:

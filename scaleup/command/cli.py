@@ -296,17 +296,24 @@ def show_plugin(name: str) -> None:
 
 @plugins.command("new")
 @click.argument("name")
-def new_plugin(name: str) -> None:
-    """Make a blender of your own: an installable distribution in ./NAME, a double cone to start."""
+@click.option(
+    "--kind",
+    type=click.Choice(PLUGIN_SECTIONS),
+    default="geometry",
+    show_default=True,
+    help="Of the plugin: a blender, a flow model or a mixing backend.",
+)
+def new_plugin(name: str, kind: Kind) -> None:
+    """Make a plugin of your own: an installable distribution in ./NAME that runs as it is."""
     from scaleup.command.skeleton import make_skeleton
 
-    folder = make_skeleton(name, Path())
+    folder = make_skeleton(name, Path(), kind)
     click.echo(
-        f"{folder}/ holds a blender that runs. Next:\n"
-        f"  pip install -e {folder}\n"
+        f"{folder}/ holds a {kind} that runs. Next:\n"
+        f"  {sys.executable} -m pip install -e {folder} --no-deps --no-build-isolation\n"
         f"  scaleup plugins check {name}\n"
-        f"  scaleup simulate --geometry {name}\n"
-        f"and make {folder}/scaleup_{name.replace('-', '_')}/__init__.py your vessel"
+        f"  scaleup simulate --{kind} {name}\n"
+        f"and make {folder}/scaleup_{name.replace('-', '_')}/__init__.py your own"
     )
 
 

@@ -73,16 +73,8 @@ def obtain_flow(case: Case, comm: Any) -> FlowOutcome:
     >>> obtain_flow(case, MPI.COMM_WORLD).reused
     True
     """
-    store, wanted, grid = Store(), _wanted(case), case.grid
-    path = wanted.path
-    scene = Scene(
-        geometry=case.geometry,
-        material=case.material,
-        speed=case.operation.speed,
-        fill_volume=case.fill_volume,
-        grid=grid,
-        inputs=wanted.inputs,
-    )
+    store, wanted = Store(), _wanted(case)
+    path, scene = wanted.path, case.scene(wanted.inputs)
     if on_root(comm, partial(os.path.lexists, path)):
         try:
             flow = _reused(path, scene, comm)
