@@ -76,6 +76,13 @@ class Carriage:
         here = np.flatnonzero(placing.place >= 0).astype(np.int32)
         self._here, self._there = here, placing.place[here].astype(np.int32)
 
+    def _landing(self, above: IntArray) -> images.Landing:
+        """As it is held, with the neighbours above."""
+        return images.Landing(
+            self._landed, self._places, self._below, above, self._holds, self._factor,
+            self._start, self._strides, self._per_edge,
+        )  # fmt: skip
+
     def _balance(self, above: IntArray, fill: FloatArray) -> None:
         """Factors of the cells with which the laid volumes come near to the fills.
 
@@ -85,10 +92,7 @@ class Carriage:
         self._factor = np.ones(len(fill), dtype=np.float32)
         for number in range(_ROUNDS + 1):
             laid = np.zeros(len(fill))
-            images.lay_volumes(
-                laid, self._landed, self._places, self._below, above, self._holds,
-                self._factor, self._start, self._strides, self._per_edge,
-            )  # fmt: skip
+            images.lay_volumes(laid, self._landing(above))
             self.laid = self._split.totals(laid)
             if number < _ROUNDS:
                 ratio = np.divide(fill, self.laid, out=np.ones_like(fill), where=self.laid > 0)
@@ -97,11 +101,8 @@ class Carriage:
     def _find_centring(self, moving: MovingCells, fill: FloatArray, part: IntArray) -> Centring:
         """Where what the cells hold lies after a step."""
         moments = np.zeros((self._grid.dimension, len(fill)))
-        images.lay_places(
-            moments, self._landed, self._places, self._below, moving.above, self._holds,
-            self._factor, self._start, moving.coordinates, np.array(self._grid.counts),
-            self._grid.periodic, self._strides, self._per_edge,
-        )  # fmt: skip
+        lattice = moving.lattice(self._grid)
+        images.lay_places(moments, self._landing(moving.above), lattice)
         moments = self._split.totals(moments)
         off = off_middles(moments, self.laid, moving.below, moving.above, self._settlement)
         return find_centring(off, moving.below, moving.above, fill, part)
@@ -113,12 +114,11 @@ class Carriage:
         """
         laid = np.zeros((len(c), len(self.laid)))
         above = turned_round(self._below)
-        images.lay_contents(
-            laid, self._landed, self._places, self._below, above, self._holds,
-            self._factor, self._start, coordinates_of(self._grid, self._cells), c,
-            self._position, self._strides, self._corners, self._points, self._means,
-            self._slopes, self._kinds,
-        )  # fmt: skip
+        within = images.Reconstruction(
+            self._position, self._kinds, self._corners, self._points, self._means, self._slopes
+        )
+        coordinates = coordinates_of(self._grid, self._cells)
+        images.lay_contents(laid, self._landing(above), coordinates, c, within)
         content = self._split.totals(laid)
         new = laid
         new[:, self._here] = c[:, self._there]

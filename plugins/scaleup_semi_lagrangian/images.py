@@ -17,35 +17,89 @@ Parts are >= 0, so concentrations stay in [0, 1]; what leaves a source arrives: 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from scaleup.contract import BoolArray, FloatArray, IntArray
+from scaleup_semi_lagrangian.moving_cells import Lattice, apart
 
 SCALE = 65535.0  # places in a cell are kept as 16-bit shares of its edge
 _MOST_STRETCH = 20.0  # of a Jacobian that is believed
 
 
-@numba.njit(inline="always")
-def _lay_boxes(
-    n,
-    landed,
-    places,
-    below,
-    above,
-    holds,
-    factor,
-    strides,
-    per_edge,
-    cells,
-    weights,
-    offsets,
-    counts,
-):
-    """Parts of the sub-cells of source n; returns the sum of their weights.
+class Landing(NamedTuple):
+    """Where the sub-cells of s sources end among the m moving cells.
 
-    cells, weights (sub-cells, 2^d), offsets (sub-cells, 2^d, d): of the parts; counts (sub-cells,)
+    landed, places -- (s, sub-cells) the cells, and (s, sub-cells, dimension) the places in them
+    below, above -- (dimension, m) neighbours; holds -- (m,) which cells hold material at the end
+    factor -- (m,) with which parts count in each
+    start -- (s,) fill fraction of each source
+    strides -- one to the next cell along each axis in flattened local arrays
+    per_edge -- sub-cells along an edge of a cell
     """
+
+    landed: IntArray
+    places: IntArray
+    below: IntArray
+    above: IntArray
+    holds: BoolArray
+    factor: FloatArray
+    start: FloatArray
+    strides: tuple[int, ...]
+    per_edge: int
+
+
+class Parts(NamedTuple):
+    """The parts that the sub-cells of a source fall into.
+
+    cells, weights -- (sub-cells, 2^d); offsets -- (sub-cells, 2^d, d) from the sub-cell's middle
+    counts -- (sub-cells,) how many there are
+    """
+
+    cells: IntArray
+    weights: FloatArray
+    offsets: FloatArray
+    counts: IntArray
+
+
+class Reconstruction(NamedTuple):
+    """How concentrations vary within the sources.
+
+    position -- (s,) of each source in flattened local arrays
+    kinds    -- (s, dimension) which of the stencils each takes
+    corners  -- (s, pairs) `subcells.corners` of each
+    points   -- (sub-cells, dimension) their middles relative to the cell's
+    means, slopes -- `subcells.stencils`
+    """
+
+    position: IntArray
+    kinds: IntArray
+    corners: BoolArray
+    points: FloatArray
+    means: FloatArray
+    slopes: FloatArray
+
+
+@numba.njit(inline="always")
+def _room_for(landing):
+    """Parts, to be laid by `_lay_boxes`."""
+    subcells, dimension = landing.landed.shape[1], len(landing.strides)
+    most = 2**dimension
+    return Parts(
+        np.empty((subcells, most), dtype=np.int32),
+        np.empty((subcells, most)),
+        np.empty((subcells, most, dimension)),
+        np.empty(subcells, dtype=np.int64),
+    )
+
+
+@numba.njit(inline="always")
+def _lay_boxes(n, landing, parts):
+    """Lay the parts of the sub-cells of source n; returns the sum of their weights."""
+    landed, places, below, above, holds, factor, _, strides, per_edge = landing
+    cells, weights, offsets, counts = parts
     whole = 0.0
     dimension = len(strides)
     for p in range(landed.shape[1]):
@@ -79,106 +133,39 @@ def _lay_boxes(
 
 
 @numba.njit(cache=True)
-def lay_volumes(
-    total: FloatArray,
-    landed: IntArray,
-    places: IntArray,
-    below: IntArray,
-    above: IntArray,
-    holds: BoolArray,
-    factor: FloatArray,
-    start: FloatArray,
-    strides: tuple[int, ...],
-    per_edge: int,
-) -> None:
-    """Add to `total` (m,) what the sources bring to each cell, as fill fractions.
-
-    start -- fill fraction of each source, (s,)
-    """
-    subcells, most = landed.shape[1], 2 ** len(strides)
-    cells = np.empty((subcells, most), dtype=np.int32)
-    weights = np.empty((subcells, most))
-    offsets = np.empty((subcells, most, len(strides)))
-    counts = np.empty(subcells, dtype=np.int64)
-    for n in range(len(landed)):
-        whole = _lay_boxes(
-            n,
-            landed,
-            places,
-            below,
-            above,
-            holds,
-            factor,
-            strides,
-            per_edge,
-            cells,
-            weights,
-            offsets,
-            counts,
-        )
+def lay_volumes(total: FloatArray, landing: Landing) -> None:
+    """Add to `total` (m,) what the sources bring to each cell, as fill fractions."""
+    parts = _room_for(landing)
+    cells, weights, _, counts = parts
+    start = landing.start
+    for n in range(len(start)):
+        whole = _lay_boxes(n, landing, parts)
         scale = start[n] / whole
-        for p in range(subcells):
+        for p in range(len(counts)):
             for m in range(counts[p]):
                 total[cells[p, m]] += scale * weights[p, m]
 
 
 @numba.njit(cache=True)
-def lay_places(
-    total: FloatArray,
-    landed: IntArray,
-    places: IntArray,
-    below: IntArray,
-    above: IntArray,
-    holds: BoolArray,
-    factor: FloatArray,
-    start: FloatArray,
-    coordinates: IntArray,
-    counts_along: IntArray,
-    periodic: bool,
-    strides: tuple[int, ...],
-    per_edge: int,
-) -> None:
+def lay_places(total: FloatArray, landing: Landing, lattice: Lattice) -> None:
     """Add to `total` (dimension, m) the moments of what the sources bring about the cells' middles.
 
     Fill fractions times cells. A part counts where its concentration is that of: as `lay_contents`
     takes deviations from their mean over the parts, it is moved by what the mean of the parts'
     places is off that of the sub-cells' middles.
-
-    start -- fill fraction of each source, (s,)
-    coordinates -- (m, dimension) whole numbers of the moving cells along the axes
-    counts_along -- (dimension,) cells of the grid along the axes; `periodic` in all of them
     """
-    subcells, dimension = landed.shape[1], len(strides)
-    most = 2**dimension
-    cells = np.empty((subcells, most), dtype=np.int32)
-    weights = np.empty((subcells, most))
-    offsets = np.empty((subcells, most, dimension))
-    counts = np.empty(subcells, dtype=np.int64)
+    landed, places, start = landing.landed, landing.places, landing.start
+    subcells, dimension = landed.shape[1], len(landing.strides)
+    parts = _room_for(landing)
+    cells, weights, offsets, counts = parts
     at = np.empty((subcells, dimension))
     for n in range(len(landed)):
-        whole = _lay_boxes(
-            n,
-            landed,
-            places,
-            below,
-            above,
-            holds,
-            factor,
-            strides,
-            per_edge,
-            cells,
-            weights,
-            offsets,
-            counts,
-        )
+        whole = _lay_boxes(n, landing, parts)
         scale, first = start[n] / whole, landed[n, 0]
         for a in range(dimension):
             of_middles, of_parts = 0.0, 0.0
             for p in range(subcells):
-                apart = coordinates[landed[n, p], a] - coordinates[first, a]
-                if periodic:
-                    apart -= counts_along[a] * int(np.rint(apart / counts_along[a]))
-                at[p, a] = apart + places[n, p, a] / SCALE
+                at[p, a] = apart(lattice, landed[n, p], first, a) + places[n, p, a] / SCALE
                 of_middles += at[p, a]
                 for m in range(counts[p]):
                     of_parts += weights[p, m] * (at[p, a] + offsets[p, m, a])
@@ -186,51 +173,31 @@ def lay_places(
             for p in range(subcells):
                 for m in range(counts[p]):
                     cell = cells[p, m]
-                    apart = coordinates[cell, a] - coordinates[first, a]
-                    if periodic:
-                        apart -= counts_along[a] * int(np.rint(apart / counts_along[a]))
-                    off = at[p, a] + offsets[p, m, a] + moved - apart - 0.5
+                    off = at[p, a] + offsets[p, m, a] + moved
+                    off = off - apart(lattice, cell, first, a) - 0.5
                     total[a, cell] += scale * weights[p, m] * off
 
 
 @numba.njit(cache=True, fastmath={"contract"})
 def lay_contents(
     total: FloatArray,
-    landed: IntArray,
-    places: IntArray,
-    below: IntArray,
-    above: IntArray,
-    holds: BoolArray,
-    factor: FloatArray,
-    start: FloatArray,
+    landing: Landing,
     coordinates: IntArray,
     c: FloatArray,
-    position: IntArray,
-    strides: tuple[int, ...],
-    corners: BoolArray,
-    points: FloatArray,
-    means: FloatArray,
-    slopes: FloatArray,
-    kinds: IntArray,
+    reconstruction: Reconstruction,
 ) -> None:
     """Add to `total` (components, m) what the sources bring to each cell of each component.
 
-    start    -- fill fraction of each source, (s,)
     coordinates -- (m, dimension) whole numbers of the moving cells along the axes
-    c        -- (components, cells) in flattened local arrays, all components but the last
-    position -- of each source in them, (s,)
-    corners  -- `subcells.corners` of each source, (s, pairs)
-    points   -- (sub-cells, dimension) their middles relative to the cell's
-    means, slopes -- `subcells.stencils`; kinds -- which one each source takes, (s, dimension)
+    c -- (components, cells) in flattened local arrays, all components but the last
     """
-    subcells, dimension = landed.shape[1], len(strides)
+    landed, places, strides = landing.landed, landing.places, landing.strides
+    position, kinds, corners, points, means, slopes = reconstruction
+    subcells, dimension, start = landed.shape[1], len(strides), landing.start
     components, per_edge = c.shape[0], means.shape[1]
-    most = 2**dimension
-    cells = np.empty((subcells, most), dtype=np.int32)
-    weights = np.empty((subcells, most))
-    offsets = np.empty((subcells, most, dimension))
-    counts = np.empty(subcells, dtype=np.int64)
-    within = np.empty((components, subcells, most))
+    parts = _room_for(landing)
+    cells, weights, offsets, counts = parts
+    within = np.empty((components, subcells, cells.shape[1]))
     line = np.empty((dimension, per_edge))
     tilt = np.empty((dimension, per_edge))
     mixed = np.zeros((dimension, dimension))
@@ -242,21 +209,7 @@ def lay_contents(
         moment += points[p, 0] ** 2
     for n in range(len(landed)):
         k = position[n]
-        whole = _lay_boxes(
-            n,
-            landed,
-            places,
-            below,
-            above,
-            holds,
-            factor,
-            strides,
-            per_edge,
-            cells,
-            weights,
-            offsets,
-            counts,
-        )
+        whole = _lay_boxes(n, landing, parts)
         scale = start[n] / whole
         believed = -1  # the Jacobian is not known yet
         varies = False
@@ -327,21 +280,17 @@ def lay_contents(
                         d += mixed[a, b] * points[p, a] * points[p, b]
                         gradient[a] += mixed[a, b] * points[p, b]
                         gradient[b] += mixed[a, b] * points[p, a]
-                if counts[p] == 1 or believed == 0:
-                    for m in range(counts[p]):
-                        within[q, p, m] = d
-                        mean += weights[p, m] * d
-                else:
-                    for m in range(counts[p]):
-                        value = d
-                        for a in range(dimension):
-                            # along the axis where the part is, by the source's gradient
-                            back = 0.0
-                            for b in range(dimension):
-                                back += inverse[a, b] * offsets[p, m, b]
-                            value += gradient[a] * back
-                        within[q, p, m] = value
-                        mean += weights[p, m] * value
+                whole_or_rough = counts[p] == 1 or believed == 0
+                for m in range(counts[p]):
+                    value = d
+                    for a in range(0 if whole_or_rough else dimension):
+                        # along the axis where the part is, by the source's gradient
+                        back = 0.0
+                        for b in range(dimension):
+                            back += inverse[a, b] * offsets[p, m, b]
+                        value += gradient[a] * back
+                    within[q, p, m] = value
+                    mean += weights[p, m] * value
             mean /= whole
             for p in range(subcells):
                 for m in range(counts[p]):

@@ -11,16 +11,57 @@ cut cells.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from scaleup.contract import BoolArray, FloatArray, Grid, IntArray
-from scaleup_semi_lagrangian.moving_cells import STILL, MovingCells
+from scaleup_semi_lagrangian.moving_cells import STILL, Lattice, MovingCells
 from scaleup_semi_lagrangian.paths import follow
 
 _CHANGE = 0.5  # of a volume, at most, by a Jacobian that is believed
 _LITTLE = 0.1  # fill fraction, below which a neighbour says nothing
 _MIDDLE = np.array([0.5137, 0.4789, 0.5173])  # off symmetry, where paths run into edges of cells
+
+
+class Subcells(NamedTuple):
+    """Whose ends are wanted, and where they are put.
+
+    sources -- (s,) moving cells; candidates -- those places in it that may be known by Jacobians
+    points, middle -- (sub-cells, dimension) in the unit cell, and (dimension,) about which they lie
+    landed, places, known -- (s, sub-cells), (s, sub-cells, dimension), and (s,) which are filled
+    """
+
+    sources: IntArray
+    candidates: IntArray
+    points: FloatArray
+    middle: FloatArray
+    landed: IntArray
+    places: FloatArray
+    known: BoolArray
+
+
+class Traced(NamedTuple):
+    """Middles whose paths were traced.
+
+    number -- (m,) place of each moving cell among them, or -1
+    landed, places -- the cells in which they end, and (., dimension) the places there
+    """
+
+    number: IntArray
+    landed: IntArray
+    places: FloatArray
+
+
+class Surroundings(NamedTuple):
+    """Of the moving cells: neighbours as in `MovingCells`, and fill fractions (m,)."""
+
+    below: IntArray
+    above: IntArray
+    beside: IntArray
+    start: FloatArray
+    end: FloatArray
 
 
 def ends_of_subcells(
@@ -58,10 +99,11 @@ def ends_of_subcells(
     places = np.empty((len(sources), len(points), grid.dimension), dtype=np.float32)
     known = np.zeros(len(sources), dtype=bool)
     _spread(
-        landed, places, known, candidates, sources, points, middle, number, landed_middle[:, 0],
-        place_middle[:, 0], moving.coordinates, np.array(grid.counts), grid.periodic,
-        moving.below, moving.above, usable, start, end,
-    )  # fmt: skip
+        Subcells(sources, candidates, points, middle, landed, places, known),
+        Traced(number, landed_middle[:, 0], place_middle[:, 0]),
+        Surroundings(moving.below, moving.above, usable, start, end),
+        moving.lattice(grid),
+    )
     rest = np.flatnonzero(~known)
     landed[rest], places[rest] = follow(*motion, sources[rest], points, duration, axes)
     return landed, places
@@ -98,30 +140,13 @@ def _with_neighbours(beside: IntArray, cells: IntArray) -> IntArray:
 
 @numba.njit(cache=True)
 def _spread(
-    landed: IntArray,
-    places: FloatArray,
-    known: BoolArray,
-    candidates: IntArray,
-    sources: IntArray,
-    points: FloatArray,
-    middle: FloatArray,
-    number: IntArray,
-    landed_middle: IntArray,
-    place_middle: FloatArray,
-    coordinates: IntArray,
-    counts: IntArray,
-    periodic: bool,
-    below: IntArray,
-    above: IntArray,
-    beside: IntArray,
-    start: FloatArray,
-    end: FloatArray,
+    wanted: Subcells, traced: Traced, around: Surroundings, lattice: Lattice
 ) -> None:
-    """Fill `landed` and `places` for the candidates whose Jacobian is believed; `known` says which.
-
-    candidates -- places in `sources`
-    number  -- (m,) place of each moving cell among those whose middle was traced
-    """
+    """Fill in the ends of the candidates whose Jacobian is believed."""
+    sources, candidates, points, middle, landed, places, known = wanted
+    number, landed_middle, place_middle = traced
+    below, above, beside, start, end = around
+    coordinates, counts, periodic = lattice
     dimension = points.shape[1]
     jacobian, curve = np.empty((dimension, dimension)), np.empty((dimension, dimension))
     x = np.empty(dimension)

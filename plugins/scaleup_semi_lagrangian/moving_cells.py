@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,6 +15,27 @@ from scaleup.numerics import neighbours_below
 _FULL = 1.0 - 1e-9
 STILL = -2
 """in `MovingCells.beside`: a full cell that does not move"""
+
+
+class Lattice(NamedTuple):
+    """Where cells lie on the grid, for kernels.
+
+    coordinates -- (m, dimension) whole numbers of the cells along the axes, x first
+    counts      -- (dimension,) cells of the grid along the axes; `periodic` in all of them
+    """
+
+    coordinates: IntArray
+    counts: IntArray
+    periodic: bool
+
+
+@numba.njit(inline="always")
+def apart(lattice, cell, other, axis):
+    """How many cells one is ahead of another along an axis, the short way round."""
+    along = lattice.coordinates[cell, axis] - lattice.coordinates[other, axis]
+    if lattice.periodic:
+        along -= lattice.counts[axis] * int(np.rint(along / lattice.counts[axis]))
+    return along
 
 
 @dataclass(frozen=True)
@@ -49,6 +71,10 @@ class MovingCells:
     def full(self) -> BoolArray:
         """Which cells are full all the time, (m,)."""
         return _full(self.start, self.end)
+
+    def lattice(self, grid: Grid) -> Lattice:
+        """Where they lie on their grid."""
+        return Lattice(self.coordinates, np.array(grid.counts), grid.periodic)
 
     def greatest_gradient(self) -> float:
         """Greatest velocity gradient between the faces of full cells, 1/s."""
