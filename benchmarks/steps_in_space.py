@@ -41,9 +41,9 @@ def measure(size: float) -> dict[str, Any] | None:
     from scaleup_mohr_coulomb.momentum import Momentum
     from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
     from scaleup_mohr_coulomb.space_exchange import ExchangingTransport
+    from scaleup_mohr_coulomb.space_flow import VesselFlow
     from scaleup_mohr_coulomb.space_level_set import SpaceLevelSet
     from scaleup_mohr_coulomb.space_mesh import vessel_mesh
-    from scaleup_mohr_coulomb.vessel_flow import VesselFlow
     from scaleup_mohr_coulomb.viscosity import Viscosity
 
     comm = parallel.start()

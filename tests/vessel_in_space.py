@@ -6,8 +6,8 @@ import math
 from scaleup.case.composing import compose
 from scaleup.scene.models import GRAVITY
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology
+from scaleup_mohr_coulomb.space_flow import VesselFlow
 from scaleup_mohr_coulomb.space_mesh import vessel_mesh
-from scaleup_mohr_coulomb.vessel_flow import VesselFlow
 
 NOMINAL_SPEED = 2.0
 

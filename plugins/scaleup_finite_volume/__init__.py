@@ -10,14 +10,14 @@ from scaleup.contract import Diffusion, Drift, FloatArray, MixingScene, PluginOp
 from scaleup.numerics import ExplicitBackend
 
 if TYPE_CHECKING:
-    from scaleup_finite_volume.transport import Transport
+    from scaleup_finite_volume.three_stages import Transport
 
 
 class FiniteVolume(ExplicitBackend):
     """Upwind-biased fluxes of fifth order, three Runge-Kutta stages, flux-corrected to [0, 1].
 
     Mass is kept to round-off and 0 <= c <= 1 without clipping, on moving fills and cut cells, in
-    2-D and 3-D, for any number of components. See `fluxes` and `transport`.
+    2-D and 3-D, for any number of components. See `fluxes` and `three_stages`.
     """
 
     class Options(PluginOptions):
@@ -34,6 +34,6 @@ class FiniteVolume(ExplicitBackend):
 
     def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:
         """See `transport.Transport`."""
-        from scaleup_finite_volume.transport import Transport
+        from scaleup_finite_volume.three_stages import Transport
 
         return Transport(scene, self.options, concentration, index)

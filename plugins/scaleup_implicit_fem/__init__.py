@@ -11,7 +11,7 @@ from scaleup.contract import Diffusion, FloatArray, MixingScene, PluginOptions, 
 from scaleup.numerics import ExplicitBackend
 
 if TYPE_CHECKING:
-    from scaleup_implicit_fem.transport import Transport
+    from scaleup_implicit_fem.implicit_step import Transport
 
 
 _OPTIONS = ("ksp_", "pc_", "mat_", "sub_", "mg_", "fieldsplit_", "esteig_", "log_", "options_")
@@ -65,6 +65,6 @@ class ImplicitFem(ExplicitBackend):
 
     def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:
         """See `transport.Transport`."""
-        from scaleup_implicit_fem.transport import Transport
+        from scaleup_implicit_fem.implicit_step import Transport
 
         return Transport(scene, self.options, concentration, index)

@@ -47,6 +47,6 @@ class LaxWendroff(ExplicitBackend):
         self, scene: MixingScene, concentration: FloatArray, index: int
     ) -> ExplicitTransport[Any]:
         """The transport of the chosen form."""
-        from scaleup_lax_wendroff.transport import FORMS
+        from scaleup_lax_wendroff.form_steps import FORMS
 
         return FORMS[self.options.form](scene, self.options, concentration, index)

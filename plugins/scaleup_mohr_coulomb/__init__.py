@@ -154,7 +154,7 @@ class MohrCoulomb(Flow):
         """
         options = self.options
         if isinstance(options, self.SpaceOptions):
-            from scaleup_mohr_coulomb.vessel_solve import vessel_flow
+            from scaleup_mohr_coulomb.space_solve import vessel_flow
 
             return vessel_flow(scene, options, comm, progress, memory)
 

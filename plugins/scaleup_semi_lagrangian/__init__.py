@@ -19,14 +19,14 @@ from scaleup.contract import (
 )
 
 if TYPE_CHECKING:
-    from scaleup_semi_lagrangian.transport import Transport
+    from scaleup_semi_lagrangian.split_step import Transport
 
 
 class SemiLagrangian(Mixing):
     """Sub-cells moved along paths through the face fluxes and laid down where they end.
 
     Mass is kept to round-off and 0 <= c <= 1 without clipping, for any step, on moving fills and
-    cut cells, in 2-D and 3-D, for any number of components. See `paths`, `images`, `transport`.
+    cut cells, in 2-D and 3-D, for any number of components. See `paths`, `images`, `split_step`.
     """
 
     class Options(PluginOptions):
@@ -54,7 +54,7 @@ class SemiLagrangian(Mixing):
 
     def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
         """Begin on interval `index` from concentrations (components, n) on its cells."""
-        from scaleup_semi_lagrangian.transport import Transport
+        from scaleup_semi_lagrangian.split_step import Transport
 
         self._transport = Transport(scene, self.options, concentration, index)
 

@@ -139,9 +139,7 @@ def _with_neighbours(beside: IntArray, cells: IntArray) -> IntArray:
 
 
 @numba.njit(cache=True)
-def _spread(
-    wanted: Subcells, traced: Traced, around: Surroundings, lattice: Lattice
-) -> None:
+def _spread(wanted: Subcells, traced: Traced, around: Surroundings, lattice: Lattice) -> None:
     """Fill in the ends of the candidates whose Jacobian is believed."""
     sources, candidates, points, middle, landed, places, known = wanted
     number, landed_middle, place_middle = traced

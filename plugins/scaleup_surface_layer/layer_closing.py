@@ -15,10 +15,10 @@ import numpy as np
 
 from scaleup.contract import FloatArray
 from scaleup.numerics import CompactInterval
+from scaleup_surface_layer.cell_sets import find_resting, neighbours_below
 from scaleup_surface_layer.continuity import close_balance, find_segments
 from scaleup_surface_layer.lab_columns import BedStep
 from scaleup_surface_layer.layer_flux import add_layer
-from scaleup_surface_layer.moving_cells import find_resting, neighbours_below
 from scaleup_surface_layer.vessel_frame import Draft, VesselFrame
 
 _FLOOR = 1e-3  # weight of a wet face outside the layer, over that of one in it

@@ -22,8 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scaleup.contract import BoolArray, FloatArray, Geometry, Grid, IntArray
 from scaleup.numerics import cut_fraction, cut_fraction_of_cells
-from scaleup_surface_layer.lab_columns import BedStep, Columns, Layer, layer_of
-from scaleup_surface_layer.moving_cells import (
+from scaleup_surface_layer.cell_sets import (
     component_volumes,
     corner_depths,
     find_components,
@@ -34,6 +33,7 @@ from scaleup_surface_layer.moving_cells import (
     put_remainder,
     spread_cure,
 )
+from scaleup_surface_layer.lab_columns import BedStep, Columns, Layer, layer_of
 
 _STILL = 1e-7  # of omega R^2: a flux below it moves nothing
 _CLOSED = 1e-4  # open share of a face below which it counts as wall

@@ -32,7 +32,7 @@ import ngsolve as ngs
 import numpy as np
 from scaleup.system import parallel
 comm = parallel.start()
-from scaleup_mohr_coulomb.vessel_grid import Sampler
+from scaleup_mohr_coulomb.space_grid import Sampler
 from vessel_in_space import drum_flow
 flow = drum_flow(comm)
 flow.velocity.Set((ngs.x * ngs.y, ngs.z, ngs.x - ngs.y))

@@ -17,10 +17,10 @@ from scaleup.testing import check_flow
 from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
 from scaleup_mohr_coulomb.revolutions import Turned, level_bed
 from scaleup_mohr_coulomb.space_exchange import FaceFluxes
+from scaleup_mohr_coulomb.space_flow import VesselFlow
+from scaleup_mohr_coulomb.space_grid import periodic_flow
 from scaleup_mohr_coulomb.space_level_set import _inside_fraction
-from scaleup_mohr_coulomb.vessel_flow import VesselFlow
-from scaleup_mohr_coulomb.vessel_grid import periodic_flow
-from scaleup_mohr_coulomb.vessel_memory import TurnedMemory
+from scaleup_mohr_coulomb.space_memory import TurnedMemory
 from vessel_in_space import NOMINAL_SPEED, drum_flow
 
 COMM = MPI.COMM_SELF
@@ -119,7 +119,7 @@ def test_air_far_from_the_bed_does_not_matter(monkeypatch):
     whole = drum_flow(COMM, size=0.014, tilt=40.0, speed=0.0, mirrored=True)
     for _ in range(6):
         part.step(0.01)
-    monkeypatch.setattr("scaleup_mohr_coulomb.vessel_flow._FAR", math.inf)
+    monkeypatch.setattr("scaleup_mohr_coulomb.space_flow._FAR", math.inf)
     for _ in range(6):
         whole.step(0.01)
     at_rest = np.linalg.norm(part.velocity.vec.FV().NumPy().reshape(3, -1), axis=0) == 0.0

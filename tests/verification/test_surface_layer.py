@@ -13,10 +13,10 @@ from scaleup.testing import check_flow
 from scaleup_drum import Drum
 from scaleup_surface_layer import SurfaceLayer, sandpile
 from scaleup_surface_layer import general as general_model
+from scaleup_surface_layer.cell_sets import component_volumes, put_remainder, spread_cure
 from scaleup_surface_layer.continuity import close_balance, find_segments
 from scaleup_surface_layer.lab_columns import BedState, BedStep, Columns
 from scaleup_surface_layer.layer_closing import Quality, close_interval
-from scaleup_surface_layer.moving_cells import component_volumes, put_remainder, spread_cure
 from scaleup_surface_layer.sandpile import relax, slope_law
 from scaleup_surface_layer.turned_vessel import ColumnShape
 from scaleup_surface_layer.vessel_frame import VesselFrame
