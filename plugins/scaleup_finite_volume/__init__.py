@@ -33,7 +33,7 @@ class FiniteVolume(ExplicitBackend):
     order: ClassVar[float] = 2.0  # with mixed derivatives of a tensor; above 3 without
 
     def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:
-        """See `transport.Transport`."""
+        """See `three_stages.Transport`."""
         from scaleup_finite_volume.three_stages import Transport
 
         return Transport(scene, self.options, concentration, index)

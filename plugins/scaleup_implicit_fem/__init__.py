@@ -64,7 +64,7 @@ class ImplicitFem(ExplicitBackend):
     order: ClassVar[float] = 2.0
 
     def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:
-        """See `transport.Transport`."""
+        """See `implicit_step.Transport`."""
         from scaleup_implicit_fem.implicit_step import Transport
 
         return Transport(scene, self.options, concentration, index)
