@@ -13,13 +13,18 @@ APT := python3-venv python3-numpy python3-petsc4py libpetsc-real-dev python3-mpi
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: demo test lint verify tables bench setup clean
+.PHONY: demo test lint verify tables bench setup clean particles
 setup: $(VENV)/.ready
 
 demo: setup
 	$(BIN)/scaleup simulate --geometry drum --ranks $(RANKS) --output $(OUTPUT) --overwrite
 
+# the engine of `scaleup particles`; everything else works without it
+particles: setup
+	tools/system_packages liggghts
+
 test: setup lint
+	-tools/system_packages liggghts
 	$(PYTEST)
 
 verify: setup

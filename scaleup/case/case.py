@@ -13,6 +13,7 @@ from scaleup.case.config import PLUGIN_SECTIONS, Accuracy, Output, RunConfig
 from scaleup.case.validating import validated_options
 from scaleup.case.vessel_shape import Bed, level_height
 from scaleup.contract import Flow, Geometry, Grid, Law, Material, Mixing, Scene
+from scaleup.scene.grains import Particles
 from scaleup.scene.models import Diffusion, Operation
 from scaleup.scene.shear_diffusion import shear_diffusion
 from scaleup.space.grid import grid_over
@@ -81,6 +82,11 @@ class Case:
         """What is kept."""
         return self.config.output
 
+    @property
+    def particles(self) -> Particles:
+        """Grains of a particle twin."""
+        return self.config.particles
+
     def name(self, kind: Kind) -> str:
         """What the chosen plugin is registered under."""
         return str(getattr(self.config, kind)["name"])
@@ -118,6 +124,8 @@ class Case:
         for kind in PLUGIN_SECTIONS:
             options = self.options(kind).model_dump(mode="json", exclude_none=True)
             tables[kind] = {"name": self.name(kind), **options}
+        if self.particles == Particles():  # a continuum run need not tell of grains
+            del tables["particles"]
         return tomli_w.dumps(tables)
 
     @cached_property

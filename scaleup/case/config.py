@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from scaleup.scene import units
+from scaleup.scene.grains import Particles
 from scaleup.scene.models import Diffusion, Material, Model, Operation, SmallShare
 from scaleup.system.registry import Kind
 
@@ -68,3 +69,4 @@ class RunConfig(Model):
     grid: GridChoice
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
+    particles: Particles = Particles()

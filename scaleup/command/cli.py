@@ -138,6 +138,24 @@ def simulate(
 
 @cli.command()
 @scene_options
+@click.option("--output", type=click.Path(path_type=Path), help="Run folder [runs/NAME-TIME].")
+@click.option("--overwrite", is_flag=True, help="Replace a run that is there already.")
+def particles(ranks: int | None, output: Path | None, overwrite: bool, **scene: Any) -> None:
+    """Compute the same scene with grains (LIGGGHTS); takes what simulate takes.
+
+    The grains are those of the table [particles]. --ranks is the engine's.
+    """
+    check_ranks(ranks)
+    case = _scene(**scene)
+    from scaleup.run.output_folder import real_folder
+
+    name = f"{case.name('geometry')}-particles-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = real_folder(output or Path("runs") / name)
+    _run_particles(case, folder, ranks, overwrite=overwrite)
+
+
+@cli.command()
+@scene_options
 @click.option("--measure", is_flag=True, help="Time the scene on small grids first.")
 def plan(ranks: int | None, measure: bool, **scene: Any) -> None:
     """Say what a run would model, why, and what it would cost; takes what simulate takes."""
@@ -166,6 +184,7 @@ def resume(folder: Path, ranks: int | None, revolutions: str | None, **how: bool
 
     A finished run goes on to more --revolutions and is replaced when those are complete.
     """
+    from scaleup.particles.twin import is_particle_run
     from scaleup.run.output_folder import begun_configuration, check_output, real_folder
 
     check_ranks(ranks)
@@ -177,6 +196,9 @@ def resume(folder: Path, ranks: int | None, revolutions: str | None, **how: bool
     if revolutions is not None:
         flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
     case = compose(begun_configuration(folder), flags=flags)
+    if is_particle_run(folder):
+        _run_particles(case, folder, ranks, resume=True)
+        return
     relaunch_if_needed(ranks)
     _run(case, folder, resume=True, **how)
 
@@ -390,6 +412,16 @@ def _run(case: Case, folder: Path, **how: bool) -> None:
         _print_summary(folder)
 
 
+def _run_particles(case: Case, folder: Path, ranks: int | None, **how: bool) -> None:
+    from scaleup.particles.twin import run_particles
+
+    if launched_size() > 1:
+        raise InputError("scaleup particles starts the engine's ranks itself: give it --ranks N")
+    _log_to_terminal(True)
+    run_particles(case, folder, ranks or 1, **how)
+    _print_summary(folder)
+
+
 def _print_summary(folder: Path) -> None:
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     flow, mixing, timing = report["flow"], report["mixing"], report["timing"]
@@ -407,6 +439,14 @@ def _print_summary(folder: Path) -> None:
     click.echo(f"mass drift           {report['ledger']['mass_drift']:.2e}")
     for sentence in report["warnings"]:
         click.echo(f"warning              {sentence}")
+    if grains := report.get("particles"):
+        click.echo(
+            f"grains               {grains['count']} of {1e3 * grains['diameter']:.3g} mm, "
+            f"{grains['particle_steps_per_core_s']:.3g} particle-steps per core-second on "
+            f"{timing['ranks']} rank(s); total {timing['total_s']:.1f} s"
+        )
+        click.echo(f"report               {folder / 'report.html'}")
+        return
     click.echo(
         f"time                 flow {timing['flow_s']:.1f} s, mixing {timing['mixing_s']:.1f} s "
         f"({timing['cell_updates_per_s']:.3g} cell updates/s on {timing['mixing_ranks']} rank(s)), "

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 
 from scaleup.case.config import PLUGIN_SECTIONS
+from scaleup.particles.engine import ENGINE, where
 from scaleup.system.errors import PluginError
 from scaleup.system.launch import launch_environment
 from scaleup.system.registry import available, load
@@ -43,6 +44,8 @@ def examine() -> Iterator[tuple[str, bool]]:
             yield f"{name}: {last}; {remedy}", False
     mpiexec = shutil.which("mpiexec")
     yield f"mpiexec: {mpiexec or 'not on the PATH; apt install openmpi-bin'}", bool(mpiexec)
+    found = where() or "not installed (make particles); scaleup particles alone needs it"
+    yield f"{ENGINE}: {found}", True
     for kind in PLUGIN_SECTIONS:
         for name in available(kind):
             try:

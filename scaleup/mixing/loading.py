@@ -12,7 +12,7 @@ from scaleup.space.grid import FloatArray
 from scaleup.system.errors import InputError
 
 _POINTS_PER_EDGE = 4
-_DOWN_THE_LAYERS = {"x": (0, 1.0), "y": (1, -1.0), "z": (2, -1.0)}  # left, top and front come first
+DOWN_THE_LAYERS = {"x": (0, 1.0), "y": (1, -1.0), "z": (2, -1.0)}  # left, top and front come first
 
 
 def initial_concentration(loading: Loading, flow: FlowField) -> FloatArray:
@@ -45,7 +45,7 @@ def initial_concentration(loading: Loading, flow: FlowField) -> FloatArray:
 def _layers(loading: Loading, flow: FlowField) -> FloatArray:
     """Layers across a direction, each of one component."""
     first, grid = flow.intervals[0], flow.grid
-    axis, sign = _DOWN_THE_LAYERS[loading.direction or "x"]
+    axis, sign = DOWN_THE_LAYERS[loading.direction or "x"]
     along = sign * flow.level_coordinates(grid.centre_points(first.cells))[:, axis]
     # how far a cell reaches on both sides of its centre; turned cells reach further
     edges = flow.level_coordinates(np.vstack([np.diag(grid.spacing), np.zeros(grid.dimension)]))

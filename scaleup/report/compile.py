@@ -23,7 +23,7 @@ from scaleup.flow.source import FlowOutcome
 from scaleup.measure.blend import Blend
 from scaleup.measure.metrics import blend_time, decay_rate
 from scaleup.measure.sampling import Samples, samples_of
-from scaleup.report import bed_figures, figures
+from scaleup.report import bed_figures, figures, grain_figures
 from scaleup.report.bed_view import Picture, Wall, wall_of
 from scaleup.report.cautions import cautions
 from scaleup.report.results import FRAMES, PHASES, Results, instants
@@ -136,16 +136,7 @@ def compile_report(
             "mixing": case.name("mixing"),
             "reasons": _reasons(case, outcome),
         },
-        "operation": {
-            "geometry": case.name("geometry"),
-            "loading": case.operation.loading.pattern,
-            "speed_rad_per_s": case.operation.speed,
-            "speed_rpm": case.operation.speed * 60 / (2 * math.pi),
-            "froude_number": froude_number(case.geometry, case.operation.speed),
-            "froude_definition": "omega^2 R / g, R the reach of the vessel from the axis",
-            "fill": case.fill_in_all_kinds,
-            "lift_revolutions": flow.lift / (2 * math.pi),
-        },
+        "operation": operation_of(case) | {"lift_revolutions": flow.lift / (2 * math.pi)},
         "grid": {
             "spacing": list(flow.grid.spacing),
             "counts": list(flow.grid.counts),
@@ -173,6 +164,26 @@ def compile_report(
             "mixing_ranks": blend.ranks,
             "cell_updates_per_s": ledger.cell_updates / max(blend.seconds, 1e-9),
         },
+        **made_by(),
+    }
+
+
+def operation_of(case: Case) -> dict[str, Any]:
+    """How the vessel is filled and turned, for the report."""
+    return {
+        "geometry": case.name("geometry"),
+        "loading": case.operation.loading.pattern,
+        "speed_rad_per_s": case.operation.speed,
+        "speed_rpm": case.operation.speed * 60 / (2 * math.pi),
+        "froude_number": froude_number(case.geometry, case.operation.speed),
+        "froude_definition": "omega^2 R / g, R the reach of the vessel from the axis",
+        "fill": case.fill_in_all_kinds,
+    }
+
+
+def made_by() -> dict[str, Any]:
+    """`machine` and `versions`, for the report."""
+    return {
         "machine": {
             "processor": _processor(),
             "cores": os.cpu_count(),
@@ -330,6 +341,10 @@ def _draw(
         },
         report["error_estimate"].get("segregation_intensity_by_point"),
     )
+    stored_grains = folder.parent / "grains.h5"
+    if stored_grains.exists():
+        picture = add("Grains, coloured by component", "grains.png")
+        grain_figures.grains(picture, grain_figures.read_grains(stored_grains))
     if mixing["centre_line"]:
         figures.centre_profiles(
             add("Concentration along the centre line of the bed", "centre_line.png"),

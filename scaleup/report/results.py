@@ -107,7 +107,7 @@ class Results:
         if self._with_velocity.setdefault(span, revolution) == revolution:
             for axis, component in enumerate(interval.velocity(self.grid)):
                 fields["velocity_" + "xyz"[axis]] = component
-        self._store("snapshots", revolution, self.grid, interval.cells, fields, span)
+        self.store("snapshots", revolution, interval.cells, fields, span)
 
     def add_picture(
         self, revolution: float, interval: Interval, time: float, concentration: FloatArray
@@ -125,7 +125,7 @@ class Results:
         share = np.divide(content, fill, out=np.full(len(fill), np.nan), where=fill > 0)
         fields = {"fill_fraction": fill / self._coarse.cell_volume, "concentration_1": share}
         span = (interval.start, interval.end)
-        self._store("pictures", revolution, self._coarse, cells, fields, span)
+        self.store("pictures", revolution, cells, fields, span)
 
     def finish(self, wanted: Mapping[str, Iterable[float]]) -> None:
         """Join the instants that are wanted (revolutions by kind) into `results.h5`.
@@ -225,15 +225,19 @@ class Results:
             + "\n</Grid></Domain></Xdmf>\n",
         )
 
-    def _store(
+    def store(
         self,
         kind: str,
         revolution: float,
-        grid: Grid,
         cells: IntArray,
         fields: Mapping[str, FloatArray],
         span: tuple[float, float],
     ) -> None:
+        """Append fields (n,) on some cells at one time, under one of KINDS.
+
+        span -- of the interval that they are of: the velocities of two instants of one are the same
+        """
+        grid = self._coarse if kind == "pictures" else self.grid
         self._parts.mkdir(exist_ok=True)
         with hdf5.replaced(self._part(kind, _name(revolution))) as file:
             file.attrs["revolution"], file.attrs["interval"] = revolution, span

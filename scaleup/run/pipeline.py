@@ -52,7 +52,7 @@ def run(
                 comm, partial(check_output, folder, overwrite=overwrite, resume=resume, extend=True)
             )
             work = on_root(comm, partial(open_folder, folder, case.to_toml(), resume=resume))
-            with _logged_to(work / "run.log", comm):
+            with logged_to(work / "run.log", root=comm.rank == 0):
                 blending = partial(mix, case, comm=comm, force=force, stopping=stopping,
                                    changed_code=changed_code, crew=crew)  # fmt: skip
                 _run_in(work, case, comm, stopping, blending, changed_code)
@@ -135,9 +135,9 @@ def _finished_all_the_same(what: str, blend: Blend) -> Iterator[None]:
 
 
 @contextmanager
-def _logged_to(path: Path, comm: Any) -> Iterator[None]:
+def logged_to(path: Path, *, root: bool) -> Iterator[None]:
     """What is logged within the block goes to a file as well, on the root."""
-    if comm.rank != 0:
+    if not root:
         yield
         return
     handler = logging.FileHandler(path)

@@ -112,7 +112,7 @@ def attended(command: list[str], environment: Mapping[str, str]) -> int:
     for number in SIGNALS:
         signal.signal(number, pass_on)
     child = subprocess.Popen(
-        command, env=environment, start_new_session=True, preexec_fn=_end_with_parent
+        command, env=environment, start_new_session=True, preexec_fn=end_with_parent
     )
     if asked:
         child.terminate()
@@ -130,7 +130,7 @@ def attended(command: list[str], environment: Mapping[str, str]) -> int:
     return code if code >= 0 else 128 - code  # as a shell has it
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Called in mpiexec's process before it begins: Linux ends it when its parent is killed."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
