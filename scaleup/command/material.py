@@ -36,7 +36,7 @@ def material() -> None:
 @click.option("--cohesionless", is_flag=True, help="Fit lines through the origin.")
 @click.option(
     "--unloading-part",
-    type=float,
+    type=click.FloatRange(0, 1, min_open=True),
     default=0.3,
     show_default=True,
     help="Share of the axial stress over whose release the unloading is fitted.",

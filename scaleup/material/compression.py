@@ -102,6 +102,9 @@ def _initial_unloading(strain: FloatArray, axial: FloatArray, part: float) -> sl
         raise InputError(f"the part {part:g} of the unloading must be above 0 and at most 1")
     if len(strain) < _FEWEST:
         raise InputError(f"{len(strain)} row(s) are no loading and unloading")
+    if np.abs(strain).max() > 1:
+        most = float(np.abs(strain).max())
+        raise InputError(f"the axial strain {most:.4g} is more than 1; check its unit (% or -)")
     turn = len(strain) - 1 - int(np.argmax(strain[::-1]))
     top = float(axial[turn])
     released = np.flatnonzero(axial[turn:] < (1 - part) * top)

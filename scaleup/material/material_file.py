@@ -17,7 +17,7 @@ from scaleup.system.errors import InputError
 from scaleup.system.files import write_text
 
 
-def material_table(findings: Sequence[Finding], given: Mapping[str, Any]) -> dict[str, Any]:
+def material_table(findings: Sequence[Finding], given: dict[str, Any]) -> dict[str, Any]:
     """The [material] table of what was found, and of values that are given beside.
 
     Raises InputError if a value is given and found, or is none that a powder has.
@@ -28,11 +28,10 @@ def material_table(findings: Sequence[Finding], given: Mapping[str, Any]) -> dic
     twice = sorted(table.keys() & given.keys())
     if twice:
         raise InputError(f"--set material.{twice[0]}: is fitted here; set it in the run instead")
+    validated(Material, table | given, "material.")
     told = {finding.key: finding.told for finding in findings}
     told |= {key: "as given (--set), not measured here" for key in given if key != "provenance"}
-    table |= {**given, "provenance": told | dict(given.get("provenance", {}))}
-    validated(Material, table, "material.")
-    return table
+    return {**table, **given, "provenance": told | given.get("provenance", {})}
 
 
 def left_to_defaults(table: Mapping[str, Any]) -> str:

@@ -70,7 +70,7 @@ def read_measured(file: Path, columns: Mapping[str, Column]) -> dict[str, FloatA
             names = " and ".join(column.name for column in columns.values())
             raise ValueError(f"needs a column each for {names}")
         return {
-            key: _factor(heads[place], columns[key]) * np.array(list(_numbers(rows, heads, place)))
+            key: np.array([*_numbers(rows, place, heads[place], columns[key])])
             for key, place in places.items()
         }
     except OSError as error:
@@ -140,15 +140,16 @@ def _has_unit(head: str, column: Column) -> bool:
     return True
 
 
-def _numbers(rows: list[list[str]], heads: list[str], place: int) -> Iterator[float]:
+def _numbers(rows: list[list[str]], place: int, head: str, column: Column) -> Iterator[float]:
+    """The entries of a column in SI units. Raises ValueError."""
+    factor = _factor(head, column)
     for number, row in enumerate(rows, 1):
         try:
-            value = float(row[place])
+            value = factor * float(row[place])
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
             raise ValueError(
-                f"{shown(heads[place])} = {shown(row[place])} in row {number}: must be a finite "
-                "number"
+                f"{shown(head)} = {shown(row[place])} in row {number}: must be a finite number"
             )
         yield value

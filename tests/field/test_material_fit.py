@@ -174,6 +174,7 @@ def test_what_is_no_yield_locus_is_refused_in_a_sentence(refused, tmp_path, text
         (lambda e, a, r: (e, r, a), "would be 0.935, not between 0 and 0.5"),
         (lambda e, a, r: (e, a, 20e3 - r), "Poisson's ratio would be -0.0747"),
         (lambda e, a, r: (e[::20], a[::20], r[::20]), "only 1 row(s) until the axial stress has"),
+        (lambda e, a, r: (100 * e, a, r), "the axial strain 2 is more than 1; check its unit"),
         (lambda e, a, r: (e[:2], a[:2], r[:2]), "2 row(s) are no loading and unloading"),
         (
             lambda e, a, r: (e, np.append(a[:40], 80e3 - a[40:]), r),
@@ -204,6 +205,10 @@ def test_arguments_that_cannot_be_are_refused(refused, tmp_path):
     assert "name a file that ends in .toml" in refused(*fit, "--output", "t.csv")
     assert "only keys of material" in refused(*fit, "--set", "grid.cells=1")
     assert "material.cohesion: is fitted here" in refused(*fit, "--set", "material.cohesion=1")
+    assert "material.provenance = 1: must be a table" in refused(
+        *fit, "--set", "material.provenance=1"
+    )
+    assert "'--unloading-part': 2.0 is not in the range" in refused(*fit, "--unloading-part", "2")
     assert "material.colour = 1: unknown key" in refused(*fit, "--set", "material.colour=1")
     (tmp_path / "material.png").write_text("mine")
     assert "material.png: is there already; give --overwrite" in refused(*fit)
