@@ -10,6 +10,8 @@ from scaleup.case.vessel_shape import (
     require_rolling,
 )
 from scaleup.flow.bed_support import bed_depth, critical_height, lifted_lean
+from scaleup.flow.lattice_gradients import lattice_gradients
+from scaleup.flow.nearest_fluxes import Faces, multigrid, nearest_fluxes
 from scaleup.flow.stream_function import fit_stream_function, flow_from_stream_function
 from scaleup.mixing.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
 from scaleup.mixing.flux_correction import FluxCorrection
@@ -23,7 +25,6 @@ from scaleup.space.flow_field import interval_from_dense
 from scaleup.space.grid import FULL, grid_over
 from scaleup.space.merged_cells import neighbours_below
 from scaleup.space.spread import spread_outwards
-from scaleup.space.symmetric_solve import SymmetricSolver
 from scaleup.system.parallel import on_each, on_root, on_root_alone
 from scaleup.vessels.convex_polyhedron import ConvexPolyhedron, corners_within
 from scaleup.vessels.revolved import Revolved
@@ -38,12 +39,12 @@ __all__ = [
     "ConvexPolyhedron",
     "ExplicitBackend",
     "ExplicitTransport",
+    "Faces",
     "FluxCorrection",
     "GroupsHere",
     "MirroredParts",
     "Revolved",
     "Surroundings",
-    "SymmetricSolver",
     "bed_depth",
     "corners_within",
     "critical_height",
@@ -56,9 +57,12 @@ __all__ = [
     "grid_over",
     "interval_from_dense",
     "is_circle",
+    "lattice_gradients",
     "level_height",
     "lifted_lean",
     "mirrored_in_z",
+    "multigrid",
+    "nearest_fluxes",
     "neighbours_below",
     "on_each",
     "on_root",

@@ -1,12 +1,6 @@
 """Face fluxes that change given fills exactly: the nearest to a solved velocity's.
 
-With F0 the given fluxes through faces of wet area w, V0 and V1 the fills at the ends of an interval
-dt,
-
-    minimise  sum (F - F0)^2 / w    such that    div F = (V0 - V1)/dt    in every cell,
-
-whose solution is F = F0 + w (lambda_lower - lambda_upper) with a weighted graph Laplacian for
-lambda: conjugate gradients with algebraic multigrid, twice, so that the balance holds to round-off.
+Through faces of wet area w the change of a flux counts as 1/w (`scaleup.numerics.nearest_fluxes`).
 """
 
 from __future__ import annotations
@@ -16,29 +10,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from scaleup.contract import FloatArray, Grid, RunError
-from scaleup.numerics import SymmetricSolver
+from scaleup.numerics import Faces, multigrid, nearest_fluxes
 
 _PASSES = 3
-_EXACT = 1e-15  # of a cell's volume: what is missing beyond it is worth another pass
+_SOLVED = 1e-9  # residual of the correction over what is to be corrected
 _BALANCED = 1e-12  # of a cell's volume, at most
 
 
 @dataclass(frozen=True)
-class Faces:
-    """Faces between cells of a region: the cells below and above, by number in the region."""
+class GridFaces(Faces):
+    """Faces between cells of a region of a grid."""
 
     axis: NDArray[Any]
-    lower: NDArray[Any]
-    upper: NDArray[Any]
+    """Normal to each face."""
     cells: NDArray[Any]
     """Flat grid indices of the region, ascending."""
 
     @classmethod
-    def between(cls, grid: Grid, region: NDArray[Any], open_faces: list[NDArray[Any]]) -> Faces:
+    def between(cls, grid: Grid, region: NDArray[Any], open_faces: list[NDArray[Any]]) -> GridFaces:
         """Faces with ``open_faces`` (per axis, at each cell's lower face) between ``region`` cells.
 
         ``region`` and ``open_faces[axis]`` are flags with the grid's shape.
@@ -56,24 +47,16 @@ class Faces:
             uppers.append(number[upper[inside]])
             axes.append(np.full(int(inside.sum()), axis))
             stride *= grid.counts[axis]
-        return cls(*(np.concatenate(part) for part in (axes, lowers, uppers)), cells)
+        lower, upper, normal = (np.concatenate(part) for part in (lowers, uppers, axes))
+        return cls(len(cells), lower, upper, normal, cells)
 
     def groups(self) -> tuple[int, NDArray[Any]]:
         """How many groups of cells hang together, and which one each cell is in."""
-        n = len(self.cells)
-        links = coo_matrix((np.ones(len(self.lower)), (self.lower, self.upper)), shape=(n, n))
-        count, labels = connected_components(links, directed=False)
-        return int(count), labels
-
-    def outflow(self, flux: FloatArray) -> FloatArray:
-        """Net outflow of each cell of the region, m^3/s."""
-        n = len(self.cells)
-        total: FloatArray = np.bincount(self.lower, flux, n) - np.bincount(self.upper, flux, n)
-        return total
+        return len(self.tree.roots), self.tree.part
 
 
 def balance(
-    faces: Faces, start: FloatArray, end: FloatArray, capacity: FloatArray
+    faces: GridFaces, start: FloatArray, end: FloatArray, capacity: FloatArray
 ) -> tuple[FloatArray, float]:
     """The fills at the end, such that each group of cells holds what it held; what that moved, m^3.
 
@@ -98,37 +81,21 @@ def balance(
 
 
 def closed_fluxes(
-    faces: Faces, given: FloatArray, wet: FloatArray, demand: FloatArray, cell_rate: float
+    faces: GridFaces, given: FloatArray, wet: FloatArray, demand: FloatArray, cell_rate: float
 ) -> FloatArray:
     """The fluxes (m^3/s) nearest to ``given`` whose outflow is ``demand`` (m^3/s) in every cell.
 
     ``cell_rate`` is a cell's volume over the interval, m^3/s: what the balance is measured against.
     Raises RunError where that cannot be.
     """
-    n = len(faces.cells)
-    flux = given.copy()
-    if n == 0:
-        return flux
-    count, group = faces.groups()
-    rows = np.concatenate([faces.lower, faces.upper, np.arange(n)])
-    columns = np.concatenate([faces.upper, faces.lower, np.arange(n)])
-    weight = wet / wet.max() if len(wet) else wet
-    diagonal = np.bincount(faces.lower, weight, n) + np.bincount(faces.upper, weight, n)
-    diagonal[np.unique(group, return_index=True)[1]] += 1e-3 * max(diagonal.max(), 1e-300)
-    matrix = coo_matrix((np.concatenate([-weight, -weight, diagonal]), (rows, columns))).tocsr()
-    solver = SymmetricSolver(matrix, 1e-9, "hypre")
-    for _ in range(_PASSES):
-        missing = demand - faces.outflow(flux)
-        if np.abs(missing).max(initial=0.0) <= _EXACT * cell_rate:
-            break
-        missing -= (np.bincount(group, missing, count) / np.bincount(group, None, count))[group]
-        potential, _ = solver.solve(missing)
-        flux += weight * (potential[faces.lower] - potential[faces.upper])
-    solver.close()
-    missing = demand - faces.outflow(flux)
-    if np.abs(missing).max() > _BALANCED * cell_rate:
+    if faces.count == 0:
+        return given.copy()
+    weight, solver = wet / wet.max(initial=1e-300), multigrid(_SOLVED, "hypre")
+    flux, _ = nearest_fluxes(faces, given, weight, demand, solver, "again")
+    missing = np.abs(faces.missing(demand, flux)).max()
+    if missing > _BALANCED * cell_rate:
         raise RunError(
             "the flow's fluxes could not be closed on the grid: a part of the bed gains or loses "
-            f"{np.abs(missing).max() / cell_rate:.2g} cells in an interval; take larger cells"
+            f"{missing / cell_rate:.2g} cells in an interval; take larger cells"
         )
     return flux

@@ -19,7 +19,7 @@ from scaleup.numerics import (
     on_root_alone,
 )
 
-from .closing import Faces, balance, closed_fluxes
+from .closing import GridFaces, balance, closed_fluxes
 from .on_grid import kept_inside
 from .revolutions import REPEATS, SOLVING
 
@@ -297,7 +297,7 @@ class _Builder:
 
     def _joined(
         self, region: NDArray[Any], active: NDArray[Any], start: FloatArray, end: FloatArray
-    ) -> tuple[NDArray[Any], Faces]:
+    ) -> tuple[NDArray[Any], GridFaces]:
         """The region, or so much more of the vessel that no group of its cells gains anything.
 
         The end of the last interval is given, so that what little a group apart from the others
@@ -313,18 +313,18 @@ class _Builder:
             wider = region | (open_cells & _neighbours(region))
         return region, faces
 
-    def _faces(self, region: NDArray[Any]) -> Faces:
-        return Faces.between(self._scene.grid, region, [share > 0.0 for share in self._open])
+    def _faces(self, region: NDArray[Any]) -> GridFaces:
+        return GridFaces.between(self._scene.grid, region, [share > 0.0 for share in self._open])
 
     @staticmethod
-    def _gains(faces: Faces, start: FloatArray, end: FloatArray) -> float:
+    def _gains(faces: GridFaces, start: FloatArray, end: FloatArray) -> float:
         """The greatest change of what a group of cells holds, m^3."""
         count, group = faces.groups()
         change = (end - start).reshape(-1)[faces.cells]
         return float(np.abs(np.bincount(group, change, count)).max(initial=0.0))
 
     def _given(
-        self, faces: Faces, material: FloatArray, velocity: FloatArray, moving: NDArray[Any]
+        self, faces: GridFaces, material: FloatArray, velocity: FloatArray, moving: NDArray[Any]
     ) -> tuple[FloatArray, FloatArray]:
         """Fluxes (m^3/s) of the solved velocity through the faces, and their wet areas (m^2)."""
         grid = self._scene.grid

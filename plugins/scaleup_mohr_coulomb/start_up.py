@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from scaleup.contract import FloatArray, FlowField, Interval, Progress, Scene
 from scaleup.numerics import cut_fraction, fill_to_volume, interval_from_dense
-from scaleup_mohr_coulomb.closing import Faces, balance, closed_fluxes
+from scaleup_mohr_coulomb.closing import GridFaces, balance, closed_fluxes
 from scaleup_mohr_coulomb.on_grid import kept_inside, wet_part
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class _Builder:
         region = (start > 0.0) | (fill > 0.0)
         if goal is not None:  # what little a group lacks may have to pass through empty cells
             region = capacity > 0.0
-        faces = Faces.between(grid, region, [share > 0.0 for share in self._lower_faces()])
+        faces = GridFaces.between(grid, region, [share > 0.0 for share in self._lower_faces()])
         cells = faces.cells
         before, after = start.reshape(-1)[cells], fill.reshape(-1)[cells]
         if goal is None:
@@ -158,7 +158,7 @@ class _Builder:
         """Open share of each cell's lower faces."""
         return [self._open[0][:, :-1], self._open[1][:-1, :]]
 
-    def _given(self, faces: Faces, material: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _given(self, faces: GridFaces, material: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The block's fluxes (m^3/s) through the faces, and their wet areas (m^2)."""
         grid = self._scene.grid
         velocity = np.zeros((2, *self._wall.shape))
@@ -177,7 +177,7 @@ class _Builder:
             given[which] = area * wet_share * normal[pick].reshape(-1)[upper]
         return given, wet
 
-    def _dense(self, faces: Faces, flux: FloatArray) -> list[FloatArray]:
+    def _dense(self, faces: GridFaces, flux: FloatArray) -> list[FloatArray]:
         """Face fluxes as dense arrays, one per axis, longer by one along it."""
         grid = self._scene.grid
         dense = []

@@ -1,10 +1,9 @@
 """Fluxes between neighbours that bring cells from the volume laid down in them to their fill.
 
 Sub-cells of finite size fill the cells to some parts in a hundred. The rest R flows between
-neighbours, through the faces that are open: psi = difference of a potential, div psi = R, by
-conjugate gradients (preconditioned by the diagonal and the solution on blocks of cells, so that
-their number does not grow with the grid), and what these leave along a spanning tree, to round-off.
-Content goes with it at the concentration of the cell that it leaves,
+neighbours, through the faces that are open: the least psi with div psi = R
+(`scaleup.numerics.nearest_fluxes`), its potential solved for loosely. Content goes with it at the
+concentration of the cell that it leaves,
 
     c_i (v_i + inflow_i) = m_i + sum over inflowing faces of psi c_upstream,
 
@@ -15,19 +14,14 @@ cell loses another gets.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numba
 import numpy as np
-from scipy.sparse import csc_matrix, diags
-from scipy.sparse.linalg import splu
 
 from scaleup.contract import BoolArray, FloatArray, IntArray
+from scaleup.numerics import Faces, lattice_gradients, nearest_fluxes
 
-_TOLERANCE = 1e-4  # of the residual, in the mean; the tree takes the rest
-_BLOCKS = 6000  # at most: one more solve of a sparse system of that size per iteration
-_GROUND = 1e-8  # conductance from each block, which makes the blocks' system regular
-_MOST = 500  # iterations
+_TOLERANCE = 1e-4  # of the residual, in the mean
 _SETTLED = 1e-15  # change of a concentration in a sweep
 _SWEEPS = 50
 
@@ -51,173 +45,15 @@ def settle(
     coordinates -- (m, dimension) whole numbers of the cells along the axes
     Also returns which connected part of the moving cells each is in, (m,), from 0.
     """
-    excess = laid - fill
-    potential = _potential(below, above, coordinates, excess)
-    flux = _fluxes(below, potential)
-    part = _along_tree(below, above, excess, flux)
-    return Settlement(flux, np.argsort(-potential, kind="stable").astype(np.int32)), part
-
-
-def _potential(
-    below: IntArray, above: IntArray, coordinates: IntArray, excess: FloatArray
-) -> FloatArray:
-    """Solve sum over neighbours of (p_i - p_neighbour) = excess_i."""
-    block, blocks = _blocks(below, coordinates)
-    coarse = splu(blocks, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    degree = ((below >= 0).sum(axis=0) + (above >= 0).sum(axis=0)).astype(float)
-    count = blocks.shape[0]
-
-    def conditioned(residual: FloatArray) -> FloatArray:
-        return _conditioned(residual, degree, block, coarse.solve(_sums(residual, block, count)))
-
-    x, r = np.zeros(len(excess)), np.where(degree > 0.0, excess, 0.0)
-    goal = _TOLERANCE**2 * (r @ r)
-    z = conditioned(r)
-    p, rz, rr = z.copy(), r @ z, r @ r
-    for _ in range(_MOST):
-        if rr <= goal or rz == 0.0:
-            break
-        q, pq = _differences(below, above, degree, p)
-        rr = _advance(x, r, p, q, rz / pq)
-        z = conditioned(r)
-        before, rz = rz, r @ z
-        p *= rz / before
-        p += z
-    return x
-
-
-def _blocks(below: IntArray, coordinates: IntArray) -> tuple[IntArray, Any]:
-    """The block of each cell (m,), and the matrix of the above for the sums over blocks."""
-    local = coordinates - coordinates.min(axis=0)
-    edge = 4
-    while True:
-        shape = tuple(local.max(axis=0) // edge + 1)
-        flat = np.ravel_multi_index(tuple((local // edge).T), shape)
-        used = np.zeros(int(np.prod(shape)), dtype=bool)
-        used[flat] = True
-        count = int(used.sum())
-        if count <= _BLOCKS:
-            break
-        edge += 1
-    block = (np.cumsum(used) - 1).astype(np.int32)[flat]
-    upper = np.nonzero(below >= 0)
-    first, second = block[upper[1]], block[below[upper]]
-    apart = first != second
-    faces = csc_matrix((np.ones(apart.sum()), (first[apart], second[apart])), shape=(count, count))
-    faces = faces + faces.T
-    return block, (diags(np.asarray(faces.sum(axis=0))[0] + _GROUND) - faces).tocsc()
-
-
-@numba.njit(cache=True)
-def _sums(values: FloatArray, block: IntArray, count: int) -> FloatArray:
-    sums = np.zeros(count)
-    for i in range(len(values)):
-        sums[block[i]] += values[i]
-    return sums
-
-
-@numba.njit(cache=True)
-def _conditioned(
-    r: FloatArray, degree: FloatArray, block: IntArray, of_blocks: FloatArray
-) -> FloatArray:
-    z = np.empty(len(r))
-    for i in range(len(r)):
-        z[i] = of_blocks[block[i]] + r[i] / max(degree[i], 1.0)
-    return z
-
-
-@numba.njit(cache=True)
-def _advance(x: FloatArray, r: FloatArray, p: FloatArray, q: FloatArray, step: float) -> float:
-    """A step along p: x and r are changed; returns r.r."""
-    rr = 0.0
-    for i in range(len(x)):
-        x[i] += step * p[i]
-        r[i] -= step * q[i]
-        rr += r[i] * r[i]
-    return rr
-
-
-@numba.njit(cache=True)
-def _differences(
-    below: IntArray, above: IntArray, degree: FloatArray, p: FloatArray
-) -> tuple[FloatArray, float]:
-    """Sum over neighbours of (p_i - p_neighbour), and its product with p."""
-    dimension, m = below.shape
-    q, pq = np.empty(m), 0.0
-    for i in range(m):
-        total = degree[i] * p[i]
-        for axis in range(dimension):
-            j, k = below[axis, i], above[axis, i]
-            if j >= 0:
-                total -= p[j]
-            if k >= 0:
-                total -= p[k]
-        q[i] = total
-        pq += total * p[i]
-    return q, pq
-
-
-@numba.njit(cache=True)
-def _fluxes(below: IntArray, potential: FloatArray) -> FloatArray:
+    rows, upper = np.nonzero(below >= 0)
+    faces = Faces(below.shape[1], below[rows, upper], upper)
+    none, one = np.zeros(len(upper)), np.ones(len(upper))
+    solver = lattice_gradients(below, above, coordinates, _TOLERANCE)
+    through, potential = nearest_fluxes(faces, none, one, laid - fill, solver, "tree")
     flux = np.zeros(below.shape)
-    for axis in range(below.shape[0]):
-        for i in range(below.shape[1]):
-            j = below[axis, i]
-            if j >= 0:
-                flux[axis, i] = potential[j] - potential[i]
-    return flux
-
-
-@numba.njit(cache=True)
-def _along_tree(below: IntArray, above: IntArray, excess: FloatArray, flux: FloatArray) -> IntArray:
-    """Add what is missing along a spanning tree of each connected part, from its leaves inwards.
-
-    Returns which part each cell is in, (m,).
-    """
-    dimension, m = below.shape
-    left = excess.copy()
-    for axis in range(dimension):
-        for i in range(m):
-            j = below[axis, i]
-            if j >= 0:
-                left[j] -= flux[axis, i]
-                left[i] += flux[axis, i]
-    parent = np.full(m, -1, dtype=np.int32)
-    part = np.full(m, -1, dtype=np.int32)
-    line = np.empty(m, dtype=np.int32)
-    end, parts = 0, 0
-    for root in range(m):
-        if part[root] >= 0:
-            continue
-        part[root] = parts
-        parts += 1
-        line[end] = root
-        now, end = end, end + 1
-        while now < end:
-            i = line[now]
-            now += 1
-            for axis in range(dimension):
-                for side in range(2):
-                    j = below[axis, i] if side == 0 else above[axis, i]
-                    if j >= 0 and part[j] < 0:
-                        part[j] = part[i]
-                        parent[j] = i
-                        line[end] = j
-                        end += 1
-    for n in range(m - 1, -1, -1):
-        i = line[n]
-        j = parent[i]
-        if j < 0:
-            continue
-        for axis in range(dimension):
-            if below[axis, i] == j:
-                flux[axis, i] -= left[i]
-                break
-            if above[axis, i] == j:
-                flux[axis, j] += left[i]
-                break
-        left[j] += left[i]
-    return part
+    flux[rows, upper] = through
+    order = np.argsort(-potential, kind="stable").astype(np.int32)
+    return Settlement(flux, order), faces.tree.part
 
 
 @numba.njit(cache=True)

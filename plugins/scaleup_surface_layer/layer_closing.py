@@ -81,9 +81,7 @@ def close_interval(
             floor = _FLOOR * frame.grid.face_area(axis)
             np.maximum(weight[row], floor, out=weight[row])
         closed = model[: len(lateral)].copy()
-        segments = find_segments(
-            below[along], below[list(lateral)], draft.component, draft.components
-        )
+        segments = find_segments(below[along], below[list(lateral)])
         gain = (draft.after - draft.before) / (end - start)
         flux[along] = close_balance(segments, below[along], closed, weight, gain)
         flux[list(lateral)] = closed

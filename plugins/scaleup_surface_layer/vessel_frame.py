@@ -52,15 +52,12 @@ _CHUNK = 500_000  # cells cut at once
 class Draft:
     """Which n cells move in an interval: they carry flux or change their fill.
 
-    cells      -- flat grid indices, ascending; before, after -- fill, m^3
-    component  -- which of them hang together; components -- number of such sets
+    cells -- flat grid indices, ascending; before, after -- fill, m^3
     """
 
     cells: IntArray
     before: FloatArray
     after: FloatArray
-    component: IntArray
-    components: int
 
 
 @dataclass
@@ -187,7 +184,7 @@ class VesselFrame:
             used &= ~stays
             component, count = find_components(used, below)
         self._balance(component, count, before, after, capacity, shift=True)
-        return Draft(cells[used], before[used], after[used], component[used], count)
+        return Draft(cells[used], before[used], after[used])
 
     def _exchanged(self, last: BedStep, candidates: IntArray, part: IntArray) -> Draft:
         """As `_moved`, where a part inside the vessel (a baffle) keeps sets of cells apart.
@@ -271,7 +268,7 @@ class VesselFrame:
             component = np.where(used, np.searchsorted(kept, component), -1)
             count = len(kept)
         self._balance(component, count, before, after, capacity, shift=share > _EXACT)
-        return Draft(cells[used], before[used], after[used], component[used], count)
+        return Draft(cells[used], before[used], after[used])
 
     def _used(
         self, before: FloatArray, after: FloatArray, part: IntArray

@@ -13,12 +13,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
+from scaleup.flow.nearest_fluxes import conjugate_gradients, laplacian
 from scaleup.space.flow_field import Axis, FlowField, Frame, interval_from_dense
 from scaleup.space.grid import BoolArray, FloatArray, Grid
-from scaleup.space.symmetric_solve import SymmetricSolver
-from scaleup.system.errors import RunError
 
 _STILL = 1e-9  # of the greatest relative speed: below it a direction would be rounding
 
@@ -104,28 +102,19 @@ def fit_stream_function(
     # faces normal to y run along x from corner (j, i) to (j, i + 1); F_y = -(end - begin)
     begin = [number[:-1, :].ravel(), number[:, :-1].ravel()]
     end = [number[1:, :].ravel(), number[:, 1:].ravel()]
-    rows, columns, entries = [], [], []
     right = np.zeros(n)
     diagonal = np.zeros(n)
     for a, b, k, given, sign in zip(begin, end, weight, flux, (1.0, -1.0), strict=True):
         stiffness, target = k.ravel(), sign * (k * given).ravel()
-        for here, there, direction in ((a, b, -1.0), (b, a, 1.0)):
+        for here, direction in ((a, -1.0), (b, 1.0)):
             own = here >= 0
             np.add.at(diagonal, here[own], stiffness[own])
             np.add.at(right, here[own], direction * target[own])
-            both = own & (there >= 0) & (stiffness > 0)
-            rows.append(here[both])
-            columns.append(there[both])
-            entries.append(-stiffness[both])
-    rows.append(np.arange(n))
-    columns.append(np.arange(n))
-    entries.append(diagonal)
-    row, column, entry = (np.concatenate(part) for part in (rows, columns, entries))
-    solver = SymmetricSolver(csr_matrix((entry, (row, column)), shape=(n, n)), 1e-10)
-    solution, converged = solver.solve(right)
-    solver.close()
-    if not converged:
-        raise RunError("the projection of the flow onto the grid did not converge")
+    first, last, stiff = (np.concatenate([p.ravel() for p in c]) for c in (begin, end, weight))
+    both = (first >= 0) & (last >= 0) & (stiff > 0)
+    matrix = laplacian(diagonal, first[both], last[both], stiff[both])
+    with conjugate_gradients(matrix, 1e-10, most=2000) as solve:
+        solution = solve(right)
     psi = np.zeros(inside.shape)
     psi[inside] = solution
     return psi

@@ -443,7 +443,7 @@ def test_the_key_of_a_flow_holds_all_code_that_it_can_depend_on(tmp_path, monkey
 
     files = source_hash._reached(source_hash.package_files(SurfaceLayer))
     names = {file.stem for file in files}
-    assert {"symmetric_solve", "cut_kernel", "parallel", "grid"} <= names
+    assert {"nearest_fluxes", "cut_kernel", "parallel", "grid"} <= names
     assert not {"cli", "report", "figures", "blending"} & names
     package = tmp_path / "scaleup_own"
     package.mkdir()

@@ -241,10 +241,10 @@ def test_a_drum_in_wide_and_fine_columns_has_the_exact_flux():
 def test_segments_without_a_neighbour_are_balanced_too():
     """Two cells one above the other and nothing beside: continuity alone."""
     below, beside = np.array([-1, 0]), np.full((1, 2), -1)
-    segments = find_segments(below, beside, np.zeros(2, dtype=np.int32), 1)
+    segments = find_segments(below, beside)
     flux, gain = np.ones((1, 2)), np.array([-3.0, 3.0])
     through = close_balance(segments, below, flux, np.ones((1, 2)), gain)
-    assert segments.count == 1
+    assert segments.faces.count == 1
     assert np.array_equal(through, [0.0, 3.0])
     assert np.abs(flux).max() == 0.0
 
@@ -274,7 +274,7 @@ def test_a_balance_of_many_segments_closes_in_every_cell():
     flux, gain = random.normal(size=(2, n)), 1e-3 * random.normal(size=n)
     gain -= gain.mean()
     gain[n // 2] -= math.fsum(gain)
-    segments = find_segments(below[2], below[:2], np.zeros(n, dtype=np.int32), 1)
+    segments = find_segments(below[2], below[:2])
     along = close_balance(segments, below[2], flux, random.uniform(1e-3, 1, (2, n)), gain)
     net = np.zeros(n)
     for row, through in zip(below, (*flux, along), strict=True):
