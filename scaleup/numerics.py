@@ -15,7 +15,8 @@ from scaleup.flow.nearest_fluxes import Faces, multigrid, nearest_fluxes
 from scaleup.flow.stream_function import fit_stream_function, flow_from_stream_function
 from scaleup.mixing.conservative_bed import BRIDGE, ConservativeBed, GroupsHere, runs_of
 from scaleup.mixing.flux_correction import FluxCorrection
-from scaleup.mixing.transport import ExplicitBackend, ExplicitTransport
+from scaleup.mixing.steps import Steps
+from scaleup.mixing.transport import BedTransport, Transport, TransportBackend
 from scaleup.scene.surroundings import Surroundings
 from scaleup.space.closed_surface import ClosedSurface
 from scaleup.space.compact_intervals import CompactInterval, CompactIntervals, MirroredParts
@@ -32,19 +33,21 @@ from scaleup.vessels.revolved import Revolved
 __all__ = [
     "BRIDGE",
     "FULL",
+    "BedTransport",
     "ClosedSurface",
     "CompactInterval",
     "CompactIntervals",
     "ConservativeBed",
     "ConvexPolyhedron",
-    "ExplicitBackend",
-    "ExplicitTransport",
     "Faces",
     "FluxCorrection",
     "GroupsHere",
     "MirroredParts",
     "Revolved",
+    "Steps",
     "Surroundings",
+    "Transport",
+    "TransportBackend",
     "bed_depth",
     "corners_within",
     "critical_height",

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from pydantic import Field
 
 from scaleup.contract import Diffusion, Drift, FloatArray, MixingScene, PluginOptions, units
-from scaleup.numerics import ExplicitBackend
+from scaleup.numerics import TransportBackend
 
 if TYPE_CHECKING:
     from scaleup_finite_volume.three_stages import Transport
 
 
-class FiniteVolume(ExplicitBackend):
+class FiniteVolume(TransportBackend):
     """Upwind-biased fluxes of fifth order, three Runge-Kutta stages, flux-corrected to [0, 1].
 
     Mass is kept to round-off and 0 <= c <= 1 without clipping, on moving fills and cut cells, in

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scaleup.contract import FloatArray, Interval, Ledger, MixingScene
-from scaleup.numerics import ConservativeBed, ExplicitTransport, FluxCorrection
+from scaleup.numerics import BedTransport, ConservativeBed, FluxCorrection
 from scaleup_finite_volume.fluxes import find_faces, high_order
 from scaleup_finite_volume.stability import DIFFUSION_FACTOR
 
@@ -27,10 +27,8 @@ if TYPE_CHECKING:
     from scaleup_finite_volume import FiniteVolume
 
 
-class Transport(ExplicitTransport[ConservativeBed]):
+class Transport(BedTransport[ConservativeBed]):
     """The algorithm above on the cells that a rank owns."""
-
-    overshoot = 1e-9  # the scheme keeps its bounds to round-off
 
     def __init__(
         self,

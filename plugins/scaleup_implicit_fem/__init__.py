@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from pydantic import Field, field_validator
 
 from scaleup.contract import Diffusion, FloatArray, MixingScene, PluginOptions, units
-from scaleup.numerics import ExplicitBackend
+from scaleup.numerics import TransportBackend
 
 if TYPE_CHECKING:
     from scaleup_implicit_fem.implicit_step import Transport
@@ -38,7 +38,7 @@ def petsc_pairs(text: str) -> list[tuple[str, str | None]]:
     return pairs
 
 
-class ImplicitFem(ExplicitBackend):
+class ImplicitFem(TransportBackend):
     """Galerkin fluxes, five implicit Runge-Kutta stages, flux-corrected to [0, 1]; any step."""
 
     class Options(PluginOptions):

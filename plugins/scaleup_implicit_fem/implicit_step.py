@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from scaleup.contract import FloatArray, Interval, Ledger, MixingScene
-from scaleup.numerics import ConservativeBed, ExplicitTransport
+from scaleup.numerics import BedTransport, ConservativeBed
 from scaleup_implicit_fem import kernels
 from scaleup_implicit_fem.correction import Correction
 from scaleup_implicit_fem.filter import Filter
@@ -58,10 +58,8 @@ class Bed(ConservativeBed):
         self.unknowns = Unknowns(self, self._of_cells)
 
 
-class Transport(ExplicitTransport[Bed]):
+class Transport(BedTransport[Bed]):
     """The algorithm above on the unknowns that a rank owns."""
-
-    overshoot = 1e-9  # what the solver leaves
 
     def __init__(
         self,
@@ -82,11 +80,10 @@ class Transport(ExplicitTransport[Bed]):
         """The bed with its unknowns."""
         return Bed(self.scene, interval)
 
-    def equal_steps(self, start: float, end: float) -> tuple[int, float]:
-        """(number, length in s) of equal steps from start to end (s)."""
-        wanted = self._options.time_step or self._options.courant * self.bed.explicit_step
-        count = max(1, math.ceil((end - start) / min(wanted, self._longest) - 1e-9))
-        return count, (end - start) / count
+    @property
+    def own_step(self) -> float:
+        """The limit of the explicit upwind scheme."""
+        return self.bed.explicit_step
 
     def entered(self) -> None:
         """Rows of the matrices; sums and solvers follow with the first step."""

@@ -15,10 +15,10 @@ from scaleup.contract import (
     PluginOptions,
     units,
 )
-from scaleup.numerics import ExplicitBackend, ExplicitTransport
+from scaleup.numerics import BedTransport, TransportBackend
 
 
-class LaxWendroff(ExplicitBackend):
+class LaxWendroff(TransportBackend):
     """One explicit step over a compact stencil, second order; 2-D and 3-D, moving fills."""
 
     class Options(PluginOptions):
@@ -45,7 +45,7 @@ class LaxWendroff(ExplicitBackend):
 
     def transport(
         self, scene: MixingScene, concentration: FloatArray, index: int
-    ) -> ExplicitTransport[Any]:
+    ) -> BedTransport[Any]:
         """The transport of the chosen form."""
         from scaleup_lax_wendroff.form_steps import FORMS
 

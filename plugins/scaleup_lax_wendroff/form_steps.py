@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scaleup.contract import FloatArray, Interval, Ledger, MixingScene, RunError
-from scaleup.numerics import ExplicitTransport, FluxCorrection
+from scaleup.numerics import BedTransport, FluxCorrection
 from scaleup_lax_wendroff import corrected_form, stencil
 from scaleup_lax_wendroff.beds import Bed, PaperBed
 from scaleup_lax_wendroff.rounds import Round, plan_rounds
@@ -25,7 +25,7 @@ _CLIPPED_PER_STEP, _CLIPPED_PER_STEP_OF_FRONT = 2e-3, 0.1  # shares of the bed
 _SAME_STEP = 1e-13  # relative; steps that differ by round-off share their weights
 
 
-class StencilTransport(ExplicitTransport[Bed]):
+class StencilTransport(BedTransport[Bed]):
     """Form "corrected"."""
 
     overshoot = 1.0  # sharp fronts ring
@@ -142,10 +142,8 @@ class PaperTransport(StencilTransport):
         return -float(both[0]), float(both[1])
 
 
-class BoundedTransport(ExplicitTransport[Bed]):
+class BoundedTransport(BedTransport[Bed]):
     """Form "flux-corrected"."""
-
-    overshoot = 1e-9  # bounds are kept to round-off
 
     def __init__(
         self,

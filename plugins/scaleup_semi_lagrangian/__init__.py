@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import numpy as np
 from pydantic import Field
 
-from scaleup.contract import (
-    Diffusion,
-    FloatArray,
-    Interval,
-    Ledger,
-    Mixing,
-    MixingScene,
-    PluginOptions,
-    units,
-)
+from scaleup.contract import Diffusion, FloatArray, MixingScene, PluginOptions, units
+from scaleup.numerics import TransportBackend
 
 if TYPE_CHECKING:
     from scaleup_semi_lagrangian.split_step import Transport
 
 
-class SemiLagrangian(Mixing):
+class SemiLagrangian(TransportBackend):
     """Sub-cells moved along paths through the face fluxes and laid down where they end.
 
     Mass is kept to round-off and 0 <= c <= 1 without clipping, for any step, on moving fills and
@@ -50,28 +41,8 @@ class SemiLagrangian(Mixing):
         1.9  # in the cell, at steps that do not shrink with it (sheared-disc: 1.7)
     )
 
-    _transport: Transport | None = None
-
-    def start(self, scene: MixingScene, concentration: FloatArray, index: int = 0) -> None:
-        """Begin on interval `index` from concentrations (components, n) on its cells."""
+    def transport(self, scene: MixingScene, concentration: FloatArray, index: int) -> Transport:
+        """See `split_step.Transport`."""
         from scaleup_semi_lagrangian.split_step import Transport
 
-        self._transport = Transport(scene, self.options, concentration, index)
-
-    @property
-    def _running(self) -> Transport:
-        if self._transport is None:
-            raise RuntimeError("start() comes first")
-        return self._transport
-
-    def stable_time_step(self, interval: Interval) -> float:
-        """Infinite: no step is unstable."""
-        return np.inf
-
-    def advance(self, index: int, start: float, end: float) -> Ledger:
-        """Move on over part of interval `index` in equal steps (collective)."""
-        return self._running.advance(index, start, end)
-
-    def concentration(self, interval: Interval) -> FloatArray:
-        """(components, n) on the interval's cells, on every rank (collective)."""
-        return self._running.concentration(interval)
+        return Transport(scene, self.options, concentration, index)

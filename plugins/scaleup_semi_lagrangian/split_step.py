@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from scaleup.contract import FloatArray, InputError, Interval, Ledger, MixingScene
-from scaleup.numerics import spread_outwards
+from scaleup import numerics
+from scaleup.contract import FloatArray, InputError, IntArray, Interval, Ledger, MixingScene
 from scaleup_semi_lagrangian.carriage import Carriage, strides_of
 from scaleup_semi_lagrangian.exchange import Exchange, steps
 from scaleup_semi_lagrangian.fills import NO_CHANGES, Changes, fill_at, find_changes
@@ -34,8 +34,8 @@ _EMPTY = 1e-13  # fill fraction
 T = TypeVar("T", bound=Sized)
 
 
-class Transport:
-    """State and steps on a rank. All components but the last are moved; it is what remains."""
+class Transport(numerics.Transport):
+    """The algorithm above on a rank."""
 
     def __init__(
         self,
@@ -44,28 +44,30 @@ class Transport:
         concentration: FloatArray,
         index: int,
     ):
-        self._scene, self._split, self._options = scene, scene.decomposition, options
         self._grid = scene.flow.grid
-        self._field = self._split.field(len(concentration) - 1)
-        self._owned = np.zeros(self._field.flat.shape[1], dtype=bool)
-        self._owned.reshape(self._split.local_shape)[self._split.owned] = True
+        deformation = options.deformation or (2.0 if self._grid.dimension == 2 else 5.0)
+        policy = numerics.Steps(
+            scene.decomposition, deformation, options.time_step, self.overshoot, scene.force,
+            option="deformation",
+        )  # fmt: skip
+        super().__init__(scene, concentration, policy)
+        self._owned = np.zeros(self.field.flat.shape[1], dtype=bool)
+        self._owned.reshape(self.split.local_shape)[self.split.owned] = True
         self._gain = np.zeros(len(self._owned))
-        budget = 1e9 * options.memory if options.memory else budget_of_rank(self._split.comm)
-        self._kept = Kept(budget, self._split.largest)
-        self._pace: dict[int, tuple[float, int]] = {}  # longest step (s) and moving cells
-        self._deformation = options.deformation or (2.0 if self._grid.dimension == 2 else 5.0)
+        budget = 1e9 * options.memory if options.memory else budget_of_rank(self.split.comm)
+        self._kept = Kept(budget, self.split.largest)
+        self._pace: dict[int, tuple[float, int]] = {}  # of a deformation by 1 (s); moving cells
         self._per_edge = options.subcells or (4 if self._grid.dimension == 2 else 2)
         self._times = scene.flow.times.tolist()
-        self._index = -1
         self._placed: tuple[int, Any] | None = None
         self._share = 0.0  # of the interval that has passed...
         self._fraction = np.zeros(len(self._owned))  # ...with which local cells are filled so much
-        self._enter(index)
-        self._field.flat[...] = self._placing.local(concentration[:-1])
+        self.enter(index)
+        self.field.flat[...] = self._placing.local(concentration[:-1])
 
-    def _enter(self, index: int) -> None:
+    def enter(self, index: int) -> None:
         """Take up an interval: what changes and moves in it, and who exchanges."""
-        before, self._index = self._index, index
+        before, self.index = self.index, index
         self._start, self._end = self._times[index], self._times[index + 1]
         self._moving: MovingCells | None = None
         self._changes = self._keep(("changes", index), self._find_changes)
@@ -77,29 +79,29 @@ class Transport:
         self._exchange = self._keep(("exchange", index), self._find_exchange)
         if index not in self._pace:
             moving = self._find_moving()
-            longest = self._deformation / max(moving.greatest_gradient(), 1e-300)
-            self._pace[index] = longest, len(moving.cells)
+            self._pace[index] = 1.0 / max(moving.greatest_gradient(), 1e-300), len(moving.cells)
+        self.updates = self._pace[index][1]
 
     def _keep(self, key: Hashable, build: Callable[[], T]) -> T:
         """The one of this key: kept if the flow comes back to it, or built (collective)."""
-        if self._index < self._scene.flow.prefix:
+        if self.index < self.scene.flow.prefix:
             return build()
         return self._kept.get(key, build)
 
     def _next(self, index: int) -> int:
         """The interval after this one."""
-        return index + 1 if index + 2 < len(self._times) else self._scene.flow.prefix
+        return index + 1 if index + 2 < len(self._times) else self.scene.flow.prefix
 
     @property
     def _interval(self) -> Interval:
         """The present one. Asked for only where something is built from it: that takes time."""
-        return self._scene.flow.intervals[self._index]
+        return self.scene.flow.intervals[self.index]
 
     @property
     def _placing(self) -> Any:
         """Of its cells; the last one is kept."""
-        if self._placed is None or self._placed[0] != self._index:
-            self._placed = self._index, self._split.placing(self._interval.cells)
+        if self._placed is None or self._placed[0] != self.index:
+            self._placed = self.index, self.split.placing(self._interval.cells)
         return self._placed[1]
 
     def _find_changes(self) -> Changes:
@@ -117,38 +119,39 @@ class Transport:
 
     def _find_exchange(self) -> Exchange:
         place = self._placing.place
-        tensor = self._scene.tensor(self._interval)
+        tensor = self.scene.tensor(self._interval)
         diffuses = (place >= 0) & (np.einsum("aai->i", tensor) > 0.0)
         exchange = Exchange(
             tensor[:, :, diffuses], self._grid.spacing, place[diffuses],
-            strides_of(self._split), self._owned,
+            strides_of(self.split), self._owned,
         )  # fmt: skip
-        if exchange.reach > self._split.halo:
+        if exchange.reach > self.split.halo:
             raise InputError(
                 "mixing.name = 'semi-lagrangian': the diffusion tensor is too anisotropic "
-                f"(its exchanges reach {exchange.reach} cells, at most {self._split.halo})"
+                f"(its exchanges reach {exchange.reach} cells, at most {self.split.halo})"
             )
         return exchange
 
-    def advance(self, index: int, start: float, end: float) -> Ledger:
-        """Equal steps (collective)."""
-        if index != self._index:
-            self._enter(index)
-        longest, moving = self._pace[index]
-        longest = self._options.time_step or longest
-        count = max(1, math.ceil((end - start) / longest - 1e-6))
-        dt = (end - start) / count
-        ledger = Ledger(steps=count, cell_updates=count * moving * len(self._field.flat))
-        for number in range(count):
-            self._step(start + number * dt, start + (number + 1) * dt, ledger)
-        return ledger
+    @property
+    def own_step(self) -> float:
+        """In which the fastest cell is deformed by 1."""
+        return self._pace[self.index][0]
 
-    def _step(self, start: float, end: float, ledger: Ledger) -> None:
+    def steps(self, start: float, dt: float, count: int, ledger: Ledger) -> None:
+        """Steps of the algorithm above."""
+        self._found = math.inf, -math.inf
+        for number in range(count):
+            self._step(start + number * dt, start + (number + 1) * dt)
+
+    def bounds(self) -> tuple[float, float]:
+        """After every step since the last look."""
+        return self._found
+
+    def _step(self, start: float, end: float) -> None:
         self._diffuse(start, 0.5 * (end - start))
-        if self._pace[self._index][1]:
-            carriage = self._carriage(start, end)
-            low, high = carriage.apply(self._field.flat)
-            ledger.minimum, ledger.maximum = min(ledger.minimum, low), max(ledger.maximum, high)
+        if self.updates:
+            low, high = self._carriage(start, end).apply(self.field.flat)
+            self._found = min(self._found[0], low), max(self._found[1], high)
         self._diffuse(end, 0.5 * (end - start))
 
     def _carriage(self, start: float, end: float) -> Carriage:
@@ -157,18 +160,18 @@ class Transport:
 
         def build() -> Carriage:
             return Carriage(
-                self._grid, self._split, self._find_moving(), self._fraction > _EMPTY, share,
+                self._grid, self.split, self._find_moving(), self._fraction > _EMPTY, share,
                 end - start, self._per_edge,
             )  # fmt: skip
 
-        key = ("carriage", self._index, *(round(s, 9) for s in share), round(end - start, 9))
+        key = ("carriage", self.index, *(round(s, 9) for s in share), round(end - start, 9))
         return self._keep(key, build)
 
     @property
     def _lasts(self) -> bool:
         """Whether the interval is a steady flow, of any length."""
-        flow = self._scene.flow
-        return flow.steady and self._index == flow.prefix
+        flow = self.scene.flow
+        return flow.steady and self.index == flow.prefix
 
     def _share_at(self, time: float) -> float:
         """Share of the interval that has passed at a time, s; its ends are met exactly."""
@@ -186,21 +189,16 @@ class Transport:
         """Exchange over a duration (s) with the fills at a time; collective."""
         self._fill_at(time)
         share = round(self._share, 9)
-        fastest = self._exchange.fastest(share, self._fraction, self._split.largest)
+        fastest = self._exchange.fastest(share, self._fraction, self.split.largest)
         if fastest == 0.0:
             return
         count = steps(duration, fastest)
         for _ in range(count):
-            self._exchange.step(self._field.flat, self._gain, self._fraction, duration / count)
-            self._field.exchange()
+            self._exchange.step(self.field.flat, self._gain, self._fraction, duration / count)
+            self.field.exchange()
 
-    def concentration(self, interval: Interval) -> FloatArray:
-        """(components, n) on an interval's cells, on every rank; sums to 1 (collective)."""
+    def known(self) -> IntArray:
+        """Cells that hold material."""
         now = self._interval
         fill = (1.0 - self._share) * now.fill_start + self._share * now.fill_end
-        known = now.cells[fill > _EMPTY * self._grid.cell_volume]
-        mine, where = self._split.owned_cells(known)
-        place = np.ravel_multi_index(where, self._split.local_shape)
-        values = self._split.gather(known, self._field.flat[:, place], mine)
-        moved = spread_outwards(self._grid, known, values, interval.cells)
-        return np.concatenate([moved, 1.0 - moved.sum(axis=0, keepdims=True)])
+        return now.cells[fill > _EMPTY * self._grid.cell_volume]

@@ -288,18 +288,6 @@ class ConservativeBed:
         both = self.split.largest_of([-low, high])
         return -both[0], both[1]
 
-    def worst(self, values: FloatArray) -> tuple[float, int]:
-        """(how far beyond [0, 1], position) of the worst value of any component on this rank."""
-        cells = np.concatenate([*(np.arange(a, b) for a, b in self.runs), self.groups.members])
-        if len(cells) == 0:
-            return -np.inf, 0
-        here = values[:, cells]
-        every = np.concatenate([here, 1.0 - here.sum(axis=0, keepdims=True)])
-        excess = np.maximum(-every, every - 1.0).max(axis=0)
-        excess = np.where(np.isnan(excess), np.inf, excess)
-        at = int(np.argmax(excess))
-        return float(excess[at]), int(cells[at])
-
     def known_at(self, time: float) -> IntArray:
         """Flat grid indices of the cells that carry a concentration at a time (s)."""
         return self.interval.cells[self.fraction_at(time) > _ROUND_OFF]

@@ -1,4 +1,4 @@
-"""Steps within a scheme's limit, and a run stopped as soon as its values show that it broke."""
+"""Lengths of steps, and a run stopped as soon as its values show that the scheme broke."""
 
 from __future__ import annotations
 
@@ -17,38 +17,39 @@ _BEYOND_USE = 1e6  # a value that no forced run goes on with
 
 
 @dataclass(frozen=True)
-class StepGuard:
+class Steps:
     """Chooses equal steps, and judges them before (the limit) and after (the values).
 
     split     -- the decomposition, for where things happen
-    courant   -- share of the stable step that is used
+    share     -- of the backend's own step that is used; its option `option`
     time_step -- s, a step asked for in its place, or None
     overshoot -- how far beyond [0, 1] the scheme may go while it is stable
     force     -- go on beyond the limit and the overshoot; what is not a number stops all the same
     """
 
     split: Decomposition
-    courant: float
+    share: float
     time_step: float | None
     overshoot: float
     force: bool
+    option: str = "courant"
 
-    def steps(
-        self, start: float, end: float, stable: float, longest: float = math.inf
+    def equal(
+        self, start: float, end: float, own: float, longest: float, limit: float = math.inf
     ) -> tuple[int, float]:
         """(number, length in s) of equal steps from start to end, s.
 
-        stable  -- s, the scheme's limit on this interval of the flow
-        longest -- s, no step may be longer, whatever is stable
-        Raises RunError if `time_step` is beyond it, unless forced.
+        own     -- s, the backend's step on this interval of the flow
+        longest -- s, no step may be longer
+        limit   -- s, of stability. Raises RunError if `time_step` is beyond it, unless forced.
         """
         wanted = self.time_step
-        if wanted is not None and wanted > stable * (1 + 1e-9) and not self.force:
+        if wanted is not None and wanted > limit * (1 + 1e-9) and not self.force:
             raise RunError(
                 f"mixing.time_step = {wanted:.4g} s: the limit of stability from t = "
-                f"{start:.4g} s on is {stable:.4g} s; take a smaller step, or --force it"
+                f"{start:.4g} s on is {limit:.4g} s; take a smaller step, or --force it"
             )
-        longest = min(longest, self.courant * stable if wanted is None else wanted)
+        longest = min(longest, self.share * own if wanted is None else wanted)
         count = max(1, math.ceil((end - start) / longest - 1e-9))
         return count, (end - start) / count
 
@@ -78,15 +79,16 @@ class StepGuard:
             else ("is not a number")
         )
         bound = f" (it may leave [0, 1] by {self.overshoot:g})" if excess < math.inf else ""
+        share = f", {dt / stable:.3g} times the stable one" if stable < math.inf else ""
         raise RunError(
             f"the concentration {what}{bound} at {where} and t = {time:.4g} s with steps of "
-            f"{dt:.3g} s, {dt / stable:.3g} times the stable one; {self._advice()}"
+            f"{dt:.3g} s{share}; {self._advice()}"
         )
 
     def _advice(self) -> str:
         if self.time_step is not None:
             return f"reduce mixing.time_step (now {self.time_step:g} s)"
-        return f"reduce mixing.courant (now {self.courant:g})"
+        return f"reduce mixing.{self.option} (now {self.share:g})"
 
     def _located(self, excess: float, position: int) -> tuple[float, str]:
         centre = self.split.centre(position)
