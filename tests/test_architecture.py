@@ -14,6 +14,7 @@ BEFORE_THE_LAUNCH = [
     *(REPOSITORY / "scaleup" / path for path in ("command/cli.py", "system/launch.py")),
     *sorted((REPOSITORY / "scaleup/case").glob("*.py")),
     *sorted((REPOSITORY / "scaleup/scene").glob("*.py")),
+    *sorted((REPOSITORY / "scaleup/vessels").glob("*.py")),
     *sorted(REPOSITORY.glob("plugins/*/__init__.py")),
     *sorted(REPOSITORY.glob("geometries/*/__init__.py")),
 ]

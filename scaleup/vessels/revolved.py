@@ -45,6 +45,8 @@ class Revolved(Geometry):
         super().__init__(options)
         heights, radii = np.asarray(profile, dtype=float).T
         along = np.asarray(direction, dtype=float)
+        if not along.any():
+            raise InputError("geometry: the direction of the vessel's own axis must not be zero")
         along = along / np.linalg.norm(along)
         if np.any(np.diff(heights) < 0) or radii.min() < 0:
             raise InputError(

@@ -129,6 +129,7 @@ def test_a_mirrored_half_of_a_polyhedron_is_meshed():
         (lambda: corners_within([(*n, 1) for n in OCTAHEDRON]), "walls enclose no body"),
         (lambda: Revolved(None, [(0, 1), (-1, 1)]), "heights must not fall"),
         (lambda: Revolved(None, [(0, 1), (1, -1)]), "nor its radii be below 0"),
+        (lambda: Revolved(None, CONES, direction=(0, 0, 0)), "own axis must not be zero"),
         (lambda: Revolved(None, [(0, 0), (1, 0)]), "profile of the vessel encloses nothing"),
     ],
 )
