@@ -1,27 +1,38 @@
 """Kernels that tell which cells of the vessel's grid move in an interval, and what hangs together.
 
-Cells are flat grid indices; `counts`, `corner` and `spacing` describe the grid (x, y, z), the
-corner relative to the axis of rotation. Neighbours are numbers within a list of cells.
+Cells are flat grid indices. Neighbours are numbers within a list of cells.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
+from scaleup.contract import FloatArray, IntArray
 from scaleup_surface_layer.lab_columns import depth_below, field_at, layer_at, place_of
 
 
+class GridPlace(NamedTuple):
+    """The grid (x, y, z): its counts, the lower corner relative to the axis, and the spacing, m."""
+
+    counts: IntArray
+    corner: FloatArray
+    spacing: FloatArray
+
+
 @njit(cache=True)
-def find_moving(
-    vessel, fill, capacity, first, phase0, last, phase1, mean, moves, counts, corner, spacing
-):
+def find_moving(vessel, fill, capacity, layers, phases, moves, grid):
     """Cells that the surface or the layer may touch, ascending, and how far each takes part.
 
-    first, last, mean -- the layer at the start, at the end, and as a mean; phase0, phase1 -- rad
-    moves -- which columns a flux touches
+    layers -- the layer at the start, at the end, and as a mean; phases -- rad, at start and end
+    moves -- which columns a flux touches; grid -- `GridPlace`
     part  -- 0: it may be cut by the surface; 1: the layer runs through it; 2: and is wet half-way
     """
+    first, last, mean = layers
+    phase0, phase1 = phases
+    counts, corner, spacing = grid
     c0, s0, c1, s1 = np.cos(phase0), np.sin(phase0), np.cos(phase1), np.sin(phase1)
     half = 0.5 * (phase0 + phase1)
     cm, sm = np.cos(half), np.sin(half)
@@ -241,11 +252,13 @@ def find_resting(vessel, fill, capacity, index, layer):
 
 
 @njit(cache=True)
-def corner_depths(layer, phase, cells, wall, counts, corner, spacing):
+def corner_depths(layer, phase, cells, wall, grid):
     """Which cells are below the surface (1), above it (-1) or cut (0), and the latter's corners.
 
     Corner values are min(distance below the surface, distance to the wall), x fastest.
+    grid -- `GridPlace`
     """
+    counts, corner, spacing = grid
     c, s = np.cos(phase), np.sin(phase)
     nx, ny = counts[0], counts[1]
     flat = counts[2] == 1

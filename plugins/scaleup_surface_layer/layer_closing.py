@@ -18,7 +18,7 @@ from scaleup.numerics import CompactInterval
 from scaleup_surface_layer.cell_sets import find_resting, neighbours_below
 from scaleup_surface_layer.continuity import close_balance, find_segments
 from scaleup_surface_layer.lab_columns import BedStep
-from scaleup_surface_layer.layer_flux import add_layer
+from scaleup_surface_layer.layer_flux import LayerSums, OpenCells, add_layer
 from scaleup_surface_layer.vessel_frame import Draft, VesselFrame
 
 _FLOOR = 1e-3  # weight of a wet face outside the layer, over that of one in it
@@ -61,15 +61,10 @@ def close_interval(
             frame.layer(step, 0.5),
             0.5 * (step.before.phase + step.after.phase),
             1 / len(steps),
-            cells,
-            frame.index,
             across,
-            frame.apertures,
-            *frame.place,
-            model,
-            weight,
-            shear,
-            motion,
+            OpenCells(cells, frame.index, frame.apertures),
+            frame.place,
+            LayerSums(model, weight, shear, motion),
         )
     other, still = find_resting(
         frame.vessel, frame.fill, frame.capacity, frame.index, int(frame.strides[-1])

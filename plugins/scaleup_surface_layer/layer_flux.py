@@ -14,9 +14,12 @@ face.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
+from scaleup.contract import FloatArray, IntArray
 from scaleup_surface_layer.lab_columns import field_at, layer_at, look_up, place_of
 
 
@@ -96,45 +99,53 @@ def _ahead(edges, index, place, strides, cell, kind, axis):
     return _edge(layer, c, s, corner, spacing, i, j, k, kind)
 
 
+class OpenCells(NamedTuple):
+    """Cells and the faces between them.
+
+    cells     -- flat indices, (n,); index -- grid cell -> number in `cells`, or -1
+    apertures -- open share of every grid cell's lower faces, (3, cells)
+    """
+
+    cells: IntArray
+    index: IntArray
+    apertures: FloatArray
+
+
+class LayerSums(NamedTuple):
+    """What layers are added up to.
+
+    flux, weight -- (2, n): row 0 for faces normal to `across`, row 1 for those to z; the weights
+                    are those of the fluxes' correction
+    shear, motion -- (n,) and (3, n): shear rate (1/s) and velocity relative to rigid rotation
+                    (m/s, in vessel coordinates) at cell centres
+    """
+
+    flux: FloatArray
+    weight: FloatArray
+    shear: FloatArray
+    motion: FloatArray
+
+
 @njit(cache=True)
-def add_layer(
-    layer,
-    phase,
-    share,
-    cells,
-    index,
-    across,
-    apertures,
-    counts,
-    corner,
-    spacing,
-    flux,
-    weight,
-    shear,
-    motion,
-):
+def add_layer(layer, phase, share, across, where, grid, sums):
     """Add a layer's flux through lower faces of n cells, and what goes with it.
 
-    phase     -- rad; share -- of the interval that this layer stands for
-    cells     -- flat indices; index -- grid cell -> number in `cells`, or -1
-    across    -- 0 or 1: the in-plane grid axis whose faces are wanted, beside those of z
-    apertures -- open share of every grid cell's lower faces, (3, cells)
-    corner    -- lower corner of the grid relative to the axis; counts, spacing -- (3,)
-    flux, weight -- (2, n), added to: row 0 for faces normal to `across`, row 1 for those to z;
-                    the weights are those of the fluxes' correction
-    shear, motion -- (n,) and (3, n), added to: shear rate (1/s) and velocity relative to rigid
-                    rotation (m/s, in vessel coordinates) at cell centres
+    phase  -- rad; share -- of the interval that this layer stands for
+    across -- 0 or 1: the in-plane grid axis whose faces are wanted, beside those of z
+    where, grid, sums -- `OpenCells`, `GridPlace` and `LayerSums`
     """
     c, s = np.cos(phase), np.sin(phase)
+    counts, corner, spacing = grid
     place = layer, c, s, corner, spacing
-    edges = _edges(layer, c, s, cells, counts, corner, spacing)
-    _add_flux(place, share, cells, index, across, apertures, counts, edges, flux, weight)
-    _add_shear(place, share, cells, counts, shear, motion)
+    edges = _edges(layer, c, s, where.cells, counts, corner, spacing)
+    _add_flux(place, share, across, where, counts, edges, sums.flux, sums.weight)
+    _add_shear(place, share, where.cells, counts, sums.shear, sums.motion)
 
 
 @njit(cache=True)
-def _add_flux(place, share, cells, index, across, apertures, counts, edges, flux, weight):
+def _add_flux(place, share, across, where, counts, edges, flux, weight):
     layer, c, s, corner, spacing = place
+    cells, index, apertures = where
     nx, ny = counts[0], counts[1]
     strides = np.array([1, nx, nx * ny])
     flat = counts[2] == 1

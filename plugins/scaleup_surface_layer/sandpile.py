@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -41,8 +42,7 @@ FEWEST = 32  # columns across, fewer than which a step passes at once
 _FASTEST = 4.0  # of omega R^2/2: greatest flux through a face
 
 
-@dataclass(frozen=True)
-class SlopeLaw:
+class SlopeLaw(NamedTuple):
     """q = conductance p(slope - friction), m^2/s.
 
     friction -- mu = tan(phi); conductance -- K, m^2/s; smooth -- slope range over which p sets in
@@ -100,23 +100,27 @@ def _relax_from_coarse(
 def _relax_at_once(
     level: Level, volume: FloatArray, law: SlopeLaw, duration: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    qx, qz = _chebyshev(
-        volume,
-        level.open,
-        level.low,
-        level.high - level.low,
-        level.passage,
-        level.dx,
-        level.dz,
-        level.flat,
-        (law.friction, law.conductance, law.smooth, law.greatest),
-        _FILM * level.width,
-        duration,
-        _stages(_STIFF * law.conductance / level.width**2 * duration),
-        _DAMPING,
-    )
+    stages = _stages(_STIFF * law.conductance / level.width**2 * duration)
+    qx, qz = _chebyshev(volume, level.ground, law, duration, stages)
     after = _limited(volume, level.capacity, qx, qz, level.dx, level.dz)
     return after, qx, qz
+
+
+class Ground(NamedTuple):
+    """A `Level` for kernels.
+
+    room -- m, height of the vessel over each column; passage -- of `_passage`
+    film -- m, depth below which a film flows in proportion to it
+    """
+
+    open: FloatArray
+    low: FloatArray
+    room: FloatArray
+    passage: tuple[FloatArray, ...]
+    dx: float
+    dz: float
+    flat: bool
+    film: float
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,12 @@ class Level:
     def passage(self) -> tuple[FloatArray, ...]:
         """See `_passage`."""
         return _passage(self.open, self.low, self.high, self.flat)  # type: ignore[no-any-return]
+
+    @property
+    def ground(self) -> Ground:
+        """The same for kernels."""
+        room, film = self.high - self.low, _FILM * self.width
+        return Ground(self.open, self.low, room, self.passage, self.dx, self.dz, self.flat, film)
 
     def coarse(self) -> Level:
         """The same in columns twice as wide."""
@@ -301,10 +311,11 @@ def _passage(open_, low, high, flat):
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _chebyshev(volume, open_, low, room, passage, dx, dz, flat, law, film, dt, stages, damping):
+def _chebyshev(volume, ground, law, dt, stages):
     """Time integrals of the fluxes over dt."""
+    open_, low, room, _, dx, dz, flat, _ = ground
     nx, nz = volume.shape
-    w0 = 1.0 + damping / stages**2
+    w0 = 1.0 + _DAMPING / stages**2
     t0, t1, d0, d1 = 1.0, w0, 0.0, 1.0  # T and T' at w0, of two successive degrees
     values = np.empty(stages + 1)
     values[0], values[1] = 1.0, w0
@@ -331,7 +342,7 @@ def _chebyshev(volume, open_, low, room, passage, dx, dz, flat, law, film, dt, s
                 b = min(max(v * per_open[i, k], 0.0), room[i, k])
                 body[i, k] = b
                 head[i, k] = low[i, k] + b
-        _flux(head, body, room, passage, dx, dz, flat, law, film, work, fx, fz)
+        _flux(head, body, ground, law, work, fx, fz)
         if j == 1:
             one, two, step = 1.0, 0.0, w1 / w0 * dt
         else:
@@ -351,13 +362,14 @@ def _chebyshev(volume, open_, low, room, passage, dx, dz, flat, law, film, dt, s
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _flux(head, body, room, passage, dx, dz, flat, law, film, work, fx, fz):
+def _flux(head, body, ground, law, work, fx, fz):
     """Fluxes through column faces.
 
     At a corner the squared slope is the mean over the faces that meet there, each weighted by how
     freely material follows it (0 from an empty column, into a full one, through a wall).
     """
     friction, conductance, smooth, greatest = law
+    _, _, room, passage, dx, dz, flat, film = ground
     open_x, open_z, share_x, share_z, area = passage
     gx, gz, square_x, square_z, rate = work
     nx, nz = head.shape

@@ -23,6 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from scaleup.contract import BoolArray, FloatArray, Geometry, Grid, IntArray
 from scaleup.numerics import cut_fraction, cut_fraction_of_cells
 from scaleup_surface_layer.cell_sets import (
+    GridPlace,
     component_volumes,
     corner_depths,
     find_components,
@@ -115,9 +116,9 @@ class VesselFrame:
         self._level = 0.0
 
     @property
-    def place(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Counts, corner and spacing of the grid, for the kernels."""
-        return self.counts, self.corner, self.spacing
+    def place(self) -> GridPlace:
+        """The grid, for the kernels."""
+        return GridPlace(self.counts, self.corner, self.spacing)
 
     def begin(self, step: BedStep) -> None:
         """Fill the vessel to the surface before a step."""
@@ -153,13 +154,10 @@ class VesselFrame:
             self.vessel,
             self.fill,
             self.capacity,
-            self.layer(steps[0], 0.0),
-            steps[0].before.phase,
-            self.layer(steps[-1], 1.0),
-            steps[-1].after.phase,
-            self.layer(whole, 0.5),
+            (self.layer(steps[0], 0.0), self.layer(steps[-1], 1.0), self.layer(whole, 0.5)),
+            (steps[0].before.phase, steps[-1].after.phase),
             _moves(steps, _STILL * self.omega * self.geometry.reach**2),
-            *self.place,
+            self.place,
         )
 
     def _moved(self, last: BedStep, cells: IntArray, part: IntArray) -> Draft:
@@ -313,7 +311,7 @@ class VesselFrame:
         fill = np.empty(len(cells))
         for begin in range(0, len(cells), _CHUNK):
             some = cells[begin : begin + _CHUNK]
-            state, corners = corner_depths(layer, phase, some, self.wall, *self.place)
+            state, corners = corner_depths(layer, phase, some, self.wall, self.place)
             part = np.where(state > 0, self.capacity[some], 0.0)
             cut = cut_fraction_of_cells(corners) * self.grid.cell_volume
             part[state == 0] = np.minimum(cut, self.capacity[some[state == 0]])

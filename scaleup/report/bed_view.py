@@ -108,7 +108,7 @@ def see(picture: Picture, wall: Wall, pixels: int) -> FloatArray:
     The picture's edge is 2 `wall.half_picture`. The colour is that of the concentration in
     `colour_map`, darker where the light falls askew.
     """
-    from scaleup.report.ray_kernel import cast
+    from scaleup.report.ray_kernel import Bed, Rays, Vessel, cast
 
     grid, half = picture.grid, wall.half_picture
     turn = _turned(-picture.phase)
@@ -120,12 +120,12 @@ def see(picture: Picture, wall: Wall, pixels: int) -> FloatArray:
     share = np.asarray(picture.fill_fraction)
     content = share * np.nan_to_num(picture.concentration)
     edge = np.array(grid.spacing)
+    step = 0.5 * float(edge.min())
     concentration, light, veil = cast(
-        share, content, gaussian_filter(share, 1.0), np.array(grid.lower) + 0.5 * edge, edge,
-        wall.values, wall.low, wall.spacing,
-        corner, size * right, size * up, -eye, lamp, (pixels, pixels), 2 * far,
-        0.5 * float(edge.min()),
-    )  # fmt: skip
+        Bed(share, content, gaussian_filter(share, 1.0), np.array(grid.lower) + 0.5 * edge, edge),
+        Vessel(wall.values, wall.low, wall.spacing),
+        Rays(corner, size * right, size * up, -eye, lamp, (pixels, pixels), 2 * far, step),
+    )
     colours = colour_map()(np.nan_to_num(concentration))[..., :3]
     colours *= (_SHADE + (1 - _SHADE) * np.nan_to_num(light))[..., None]
     colours[~np.isfinite(concentration)] = 1.0

@@ -16,7 +16,7 @@ Importing this module loads numba, so `bed_view` does it when first asked.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -28,37 +28,57 @@ _LEAP = 0.8  # share of the distance to the wall by which a ray leaps outside
 _VEIL, _EDGE = 0.05, 0.6  # opacity of the wall seen square-on, and what edge-on adds
 
 
-@njit(cache=True)
-def cast(
-    share: Any,
-    content: Any,
-    smooth: Any,
-    low: FloatArray,
-    edge: FloatArray,
-    wall: Any,
-    wall_low: FloatArray,
-    wall_edge: FloatArray,
-    corner: FloatArray,
-    right: FloatArray,
-    up: FloatArray,
-    forward: FloatArray,
-    lamp: FloatArray,
-    counts: tuple[int, int],
-    length: float,
-    step: float,
-) -> Any:
-    """What each pixel sees: concentration, light and veil, shape (3, rows, columns).
+class Bed(NamedTuple):
+    """A bed on its cells.
 
     share, content -- filled share of each cell, and that times the concentration, (nz, ny, nx)
     smooth         -- `share` smoothed, for the direction of the surface
     low, edge      -- m, first centre and edge of the cells, (x, y, z)
-    wall           -- m, distance to the wall on its own lattice, positive inside
+    """
+
+    share: FloatArray
+    content: FloatArray
+    smooth: FloatArray
+    low: FloatArray
+    edge: FloatArray
+
+
+class Vessel(NamedTuple):
+    """Distance to the wall (m, positive inside) on a lattice of its own: first point and edge."""
+
+    wall: FloatArray
+    low: FloatArray
+    edge: FloatArray
+
+
+class Rays(NamedTuple):
+    """Parallel rays, one for each pixel.
+
     corner         -- m, where the ray of the first pixel starts, bottom left
     right, up      -- m, steps from pixel to pixel
     forward, lamp  -- unit vectors: along the rays, and to the light
     counts         -- rows, columns; length -- m, of the rays; step -- m
+    """
+
+    corner: FloatArray
+    right: FloatArray
+    up: FloatArray
+    forward: FloatArray
+    lamp: FloatArray
+    counts: tuple[int, int]
+    length: float
+    step: float
+
+
+@njit(cache=True)
+def cast(bed: Bed, vessel: Vessel, rays: Rays) -> Any:
+    """What each pixel sees: concentration, light and veil, shape (3, rows, columns).
+
     The concentration is NaN where no bed is seen.
     """
+    share, content, smooth, low, edge = bed
+    wall, wall_low, wall_edge = vessel
+    corner, right, up, forward, lamp, counts, length, step = rays
     rows, columns = counts
     seen = np.full((3, rows, columns), np.nan)
     normal, ray = np.empty(3), np.empty(3)
