@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from scaleup.case.vessel_shape import (
+    bed_depth,
     froude_number,
     is_circle,
     level_height,
     require_drum,
     require_rolling,
 )
-from scaleup.flow.bed_support import bed_depth, critical_height, lifted_lean
+from scaleup.flow.bed_support import critical_height, lifted_lean
 from scaleup.flow.lattice_gradients import lattice_gradients
 from scaleup.flow.nearest_fluxes import Faces, multigrid, nearest_fluxes
 from scaleup.flow.stream_function import fit_stream_function, flow_from_stream_function

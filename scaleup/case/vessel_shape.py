@@ -34,7 +34,7 @@ class Bed:
     @property
     def depth(self) -> float:
         """From its surface to the vessel's lowest point, m."""
-        return self.top - float(self.geometry.lower[1])
+        return bed_depth(self.geometry, self.volume)
 
     @property
     def cells(self) -> float:
@@ -111,6 +111,11 @@ def level_height(geometry: Any, volume: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if geometry.volume_below(middle) < volume else (low, middle)
     return float(0.5 * (low + high))
+
+
+def bed_depth(geometry: Any, volume: float) -> float:
+    """Depth, m, of the level bed of a given volume (m^3) in the vessel at rest."""
+    return level_height(geometry, volume) - float(geometry.lower[1])
 
 
 def froude_number(geometry: Any, speed: float) -> float:

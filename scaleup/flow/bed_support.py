@@ -37,11 +37,6 @@ def critical_height(material: Material) -> float:
     return 4 * material.cohesion / weight * math.tan(0.25 * math.pi + 0.5 * material.friction_angle)
 
 
-def bed_depth(geometry: Any, fill_volume: float) -> float:
-    """Depth, m, of the level bed in the vessel at rest."""
-    return level_height(geometry, fill_volume) - float(geometry.lower[1])
-
-
 def lifted_lean(geometry: Any, material: Material, fill_volume: float) -> float | None:
     """Greatest lean, rad, at which the wall's friction carries the bed; None but for round vessels.
 

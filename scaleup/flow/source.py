@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from scaleup.case.case import Case
-from scaleup.case.vessel_shape import froude_number
+from scaleup.case.vessel_shape import bed_depth, froude_number
 from scaleup.contract import Scene
 from scaleup.flow import storage
 from scaleup.flow.bed_lean import require_held
-from scaleup.flow.bed_support import bed_depth, critical_height
+from scaleup.flow.bed_support import critical_height
 from scaleup.flow.check import check_shared_flow
 from scaleup.flow.storage import Store
 from scaleup.space.compact_intervals import CompactInterval, CompactIntervals
