@@ -36,9 +36,9 @@ class Bed(NamedTuple):
     low, edge      -- m, first centre and edge of the cells, (x, y, z)
     """
 
-    share: FloatArray
-    content: FloatArray
-    smooth: FloatArray
+    share: Any
+    content: Any
+    smooth: Any
     low: FloatArray
     edge: FloatArray
 
@@ -46,7 +46,7 @@ class Bed(NamedTuple):
 class Vessel(NamedTuple):
     """Distance to the wall (m, positive inside) on a lattice of its own: first point and edge."""
 
-    wall: FloatArray
+    wall: Any
     low: FloatArray
     edge: FloatArray
 
