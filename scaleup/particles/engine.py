@@ -71,11 +71,13 @@ class Engine:
         command = [*buffered, engine, "-in", f"{stage}.in", "-nocite", "-log", "none"]
         if self._ranks > 1:
             command = [shutil.which("mpiexec") or "mpiexec", "-n", str(self._ranks), *command]
+        environment = launch_environment(os.environ)
+        environment.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # waiting ranks spin otherwise
         began, before = time.monotonic(), _cpu_of_children()
         output = self._folder / f"{stage}.out"
         with output.open("wb") as stream:
             self._child = subprocess.Popen(
-                command, cwd=self._folder, env=launch_environment(os.environ), stdout=stream,
+                command, cwd=self._folder, env=environment, stdout=stream,
                 stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
                 preexec_fn=end_with_parent,
             )  # fmt: skip
@@ -86,6 +88,8 @@ class Engine:
                     look()
             finally:
                 self.end()
+                for left in self._folder.glob("restart_forced_*"):  # asked to end, it leaves one
+                    left.unlink(missing_ok=True)
         if self._child.returncode != 0:
             raise RunError(f"the engine failed in the stage {stage!r}: {_complaint(output)}")
         return Cost(_cpu_of_children() - before, time.monotonic() - began)
