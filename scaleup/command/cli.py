@@ -184,8 +184,12 @@ def resume(folder: Path, ranks: int | None, revolutions: str | None, **how: bool
 
     A finished run goes on to more --revolutions and is replaced when those are complete.
     """
-    from scaleup.particles.twin import is_particle_run
-    from scaleup.run.output_folder import begun_configuration, check_output, real_folder
+    from scaleup.run.output_folder import (
+        begun_configuration,
+        check_output,
+        holds_grains,
+        real_folder,
+    )
 
     check_ranks(ranks)
     folder = real_folder(folder)
@@ -196,7 +200,7 @@ def resume(folder: Path, ranks: int | None, revolutions: str | None, **how: bool
     if revolutions is not None:
         flags["operation"] = {"revolutions": _number("--revolutions", revolutions)}
     case = compose(begun_configuration(folder), flags=flags)
-    if is_particle_run(folder):
+    if holds_grains(folder):
         _run_particles(case, folder, ranks, resume=True)
         return
     relaunch_if_needed(ranks)

@@ -74,7 +74,8 @@ def compile_particle_report(
             "overlap_99_percent": measured.overlap_99,
             "overlap_mean": measured.overlap_mean,
             "overlap_wall_greatest": measured.overlap_wall,
-            "overlap_definition": "in mean diameters; of the contacts in 20 frames",
+            "overlap_definition": "in mean diameters, of the contacts in 20 frames; at the wall "
+            "that of the vessel itself, whose edges the triangles cut off in space",
             "contacts_per_grain": measured.contacts_per_grain,
             "particle_steps_per_core_s": None if turning is None else
             len(measured.component) * turning.steps / max(turning.cpu, 1e-9),

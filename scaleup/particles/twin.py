@@ -15,7 +15,13 @@ from scaleup.particles.engine import require_engine
 from scaleup.particles.measuring import measure_frames
 from scaleup.particles.reporting import compile_particle_report
 from scaleup.report.compile import write_json, write_report
-from scaleup.run.output_folder import check_output, open_folder, publish, work_folder
+from scaleup.run.output_folder import (
+    ENGINE_FOLDER,
+    check_output,
+    open_folder,
+    publish,
+    work_folder,
+)
 from scaleup.run.pipeline import logged_to
 from scaleup.scene.units import LENGTH
 from scaleup.system.errors import InputError
@@ -25,15 +31,9 @@ from scaleup.system.stopping import Stopping
 
 log = logging.getLogger("scaleup")
 
-_ENGINE = "engine"
 _BEGUN = "begun.toml"
 _LEAST_DEEP, _MOST = 4, 2e7  # grains: depth of the bed, number
 _RATE = 1e6  # particle-steps per core-second, for the estimate
-
-
-def is_particle_run(folder: Path) -> bool:
-    """Whether a folder, or the unfinished run of it, is of grains."""
-    return any((place / _ENGINE).is_dir() for place in (work_folder(folder), folder))
 
 
 def run_particles(
@@ -47,7 +47,7 @@ def run_particles(
     """
     require_engine(ranks)
     check_output(folder, overwrite=overwrite, resume=resume)
-    computation = Computation(case, work_folder(folder) / _ENGINE, ranks)
+    computation = Computation(case, work_folder(folder) / ENGINE_FOLDER, ranks)
     _require_grains(case, computation)
     lock, stopping = RunLock(folder), Stopping()
 
@@ -59,7 +59,7 @@ def run_particles(
     try:
         with stopping.heeded(last_act):
             if resume:
-                _require_begun(case, work_folder(folder) / _ENGINE / _BEGUN)
+                _require_begun(case, work_folder(folder) / ENGINE_FOLDER / _BEGUN)
             work = open_folder(folder, case.to_toml(), resume=resume)
             with logged_to(work / "run.log", root=True):
                 _run_in(work, case, computation, ranks)
@@ -71,7 +71,7 @@ def run_particles(
 
 def _run_in(work: Path, case: Case, computation: Computation, ranks: int) -> None:
     plan, contact = computation.schedule, computation.contact
-    engine = work / _ENGINE
+    engine = work / ENGINE_FOLDER
     engine.mkdir(exist_ok=True)
     write_text(engine / _BEGUN, case.to_toml())
     steps = plan.steps * plan.frames * plan.stretches

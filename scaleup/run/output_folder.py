@@ -15,6 +15,8 @@ from scaleup.system.errors import InputError
 from scaleup.system.files import remove_leftovers, temporary_name, write_text
 from scaleup.system.run_lock import require_free
 
+ENGINE_FOLDER = "engine"
+"""of a run of grains: what their engine reads and writes"""
 _EXTENDED = ("checkpoint.h5", "estimate.h5", "results.h5")
 """what a run is extended from; such files are replaced and never changed, so links will do"""
 
@@ -42,6 +44,11 @@ def begun_configuration(folder: Path) -> Path:
     return unfinished if unfinished.exists() else folder / "config.toml"
 
 
+def holds_grains(folder: Path) -> bool:
+    """Whether a folder, or the unfinished run of it, is of `scaleup particles`."""
+    return any((place / ENGINE_FOLDER).is_dir() for place in (work_folder(folder), folder))
+
+
 def check_output(folder: Path, *, overwrite: bool, resume: bool, extend: bool = False) -> None:
     """Raise InputError if a run may not be written to this folder.
 
@@ -63,6 +70,11 @@ def check_output(folder: Path, *, overwrite: bool, resume: bool, extend: bool = 
             return
         if not _is_run(folder):
             raise InputError(f"{folder}: there is no unfinished run to resume ({work} is missing)")
+        if holds_grains(folder):
+            raise InputError(
+                f"{folder}: this run of grains is finished, and its restart files are gone; "
+                "compute a longer one anew"
+            )
         if not extend:
             raise InputError(f"{folder}: this run is finished; --revolutions X goes on with it")
         return

@@ -27,7 +27,7 @@ _FREE = {
     "operation.revolutions",
     "output.checkpoint_every",
 }
-_FREE_TABLES = ("material.provenance.",)
+_FREE_TABLES = ("material.provenance.", "particles.")
 _ABSENT = "not given"
 
 

@@ -25,7 +25,7 @@ from scaleup.particles.twin import run_particles
 from scaleup.particles.walls import smoothness, triangles_of, write_stl
 from scaleup.report.comparison import compare
 from scaleup.report.results import Results
-from scaleup.run.output_folder import open_folder
+from scaleup.run.output_folder import check_output, open_folder
 from scaleup.system.errors import RunError
 
 needs_engine = pytest.mark.skipif(
@@ -197,6 +197,8 @@ def test_a_small_drum_from_grains_to_report(tmp_path):
     held = fields["fill_fraction"].sum() * grid.cell_volume * solid
     grains = case.fill_volume * case.material.solid_fraction
     assert held == pytest.approx(grains, rel=1e-3)  # as long as the cross-section stands for
+    with pytest.raises(InputError, match="this run of grains is finished"):
+        check_output(folder, overwrite=False, resume=True, extend=True)
     table = compare([folder, folder], tmp_path / "both")
     assert "surface angle" in table
     assert (folder / "figures" / "grains.png").exists()
