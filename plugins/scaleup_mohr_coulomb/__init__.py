@@ -82,6 +82,15 @@ class MohrCoulomb(Flow):
         """s of flow after which the run stops anyway; default 140 sqrt(reach/g)"""
         start_up: bool = False
         """begin with the solved first avalanche and swings, not with the mean flow"""
+        solve_from: Literal["rest", "nearest"] = "rest"
+        """solve from a bed at rest, or from the nearest mean flow of the same drum in the store"""
+
+        @field_validator("solve_from")
+        @classmethod
+        def _a_start_up_begins_at_rest(cls, value: str, info: ValidationInfo) -> str:
+            if value != "rest" and info.data.get("start_up"):
+                raise ValueError("must be rest where flow.start_up = true, which begins there")
+            return value
 
     class SpaceOptions(Options):
         """3-D, a vessel in space, with elements of one size, revolution by revolution."""

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import ngsolve as ngs
-import numpy as np
-from numpy.typing import NDArray
-
-from .element_matrix import Share
 
 
 class SymmetricFactors:
@@ -37,31 +32,3 @@ class SymmetricFactors:
     def solve(self, load: Any, solution: Any) -> None:
         """Solution of matrix * solution = load (NGSolve vectors)."""
         solution.data = self.inverse * load
-
-
-class FactoredSystem:
-    """:class:`SymmetricFactors` of a matrix that one rank shares out alone, for arrays."""
-
-    def __init__(self, share: Callable[[], Share]) -> None:
-        self._share = share
-        values, columns, starts = share()
-        count = len(starts) - 1
-        rows = np.repeat(np.arange(count), np.diff(starts))
-        self._matrix = ngs.la.SparseMatrixd.CreateFromCOO(
-            rows.tolist(), columns.tolist(), values.tolist(), count, count
-        )
-        self._factors = SymmetricFactors(self._matrix)
-        self._load, self._found = self._matrix.CreateRowVector(), self._matrix.CreateColVector()
-
-    def update(self) -> None:
-        """Follow the matrix as it stands; to be called before the first solve."""
-        values, _, _ = self._share()
-        self._matrix.AsVector().FV().NumPy()[:] = values
-        self._factors.update()
-
-    def solve(self, load: NDArray[Any], _: NDArray[Any]) -> NDArray[Any]:
-        """Solution (n_unknowns,) for a ``load``, without a guess."""
-        self._load.FV().NumPy()[:] = load
-        self._factors.solve(self._load, self._found)
-        found: NDArray[Any] = self._found.FV().NumPy().copy()
-        return found

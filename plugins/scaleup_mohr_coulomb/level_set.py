@@ -33,7 +33,8 @@ SignedDistance = Callable[[NDArray[Any]], NDArray[Any]]
 class LevelSet:
     """Quadratic level set phi (m), the signed distance to the free surface, positive in powder.
 
-    ``field`` is the finite-element function, ``fraction`` the smoothed powder fraction
+    ``nodes`` (n, 2) are vertices and edge midpoints, m; ``field`` is the finite-element function,
+    ``fraction`` the smoothed powder fraction
 
         alpha = H(phi/W),  H(z) = 1/2 + 3/4 z - 1/4 z^3 on [-1, 1],
 
@@ -54,9 +55,9 @@ class LevelSet:
         columns = []
         for component in (ngs.x, ngs.y):
             coordinate.Set(component)
-            columns.append(self._nodal(coordinate))
-        self._nodes = np.column_stack(columns)
-        self.lattice = ElementLattice(mesh, self._nodes, self._elements)
+            columns.append(self.nodal(coordinate.vec.FV().NumPy()))
+        self.nodes = np.column_stack(columns)
+        self.lattice = ElementLattice(mesh, self.nodes, self._elements)
 
     def _element_nodes(self) -> NDArray[Any]:
         """Node numbers (n_elements, 6): vertices a, b, c, then midpoints of ab, bc, ca."""
@@ -73,11 +74,11 @@ class LevelSet:
 
     def lattice_values(self) -> NDArray[Any]:
         """Level set (n_elements, n_points) on the lattice of each element."""
-        return self.lattice.values(self._nodal(self.field))
+        return self.lattice.values(self.nodal(self._coefficients))
 
-    def _nodal(self, function: Any) -> NDArray[Any]:
+    def nodal(self, coefficients: NDArray[Any]) -> NDArray[Any]:
         """Values at vertices and edge midpoints; NGSolve's edge functions are -1/8 at midpoints."""
-        values: NDArray[Any] = function.vec.FV().NumPy().copy()
+        values = coefficients.copy()
         n_vertices = self.mesh.nv
         values[n_vertices:] = self._edge_means(values) - values[n_vertices:] / 8.0
         return values
@@ -86,11 +87,20 @@ class LevelSet:
         means: NDArray[Any] = 0.5 * (values[self._edges[:, 0]] + values[self._edges[:, 1]])
         return means
 
-    def _set_nodal(self, values: NDArray[Any]) -> None:
+    def coefficients(self, nodal: NDArray[Any]) -> NDArray[Any]:
+        """The inverse of :meth:`nodal`."""
         n_vertices = self.mesh.nv
-        coefficients = values.copy()
-        coefficients[n_vertices:] = 8.0 * (self._edge_means(values) - values[n_vertices:])
-        self.field.vec.FV().NumPy()[:] = coefficients
+        values = nodal.copy()
+        values[n_vertices:] = 8.0 * (self._edge_means(nodal) - nodal[n_vertices:])
+        return values
+
+    def _set_nodal(self, values: NDArray[Any]) -> None:
+        self._coefficients[:] = self.coefficients(values)
+
+    @property
+    def _coefficients(self) -> NDArray[Any]:
+        found: NDArray[Any] = self.field.vec.FV().NumPy()
+        return found
 
     def set_plane(self, bed_area: float, angle: float) -> None:
         """Bed of ``bed_area`` (m^2) with a plane surface inclined by ``angle`` (rad)."""
@@ -99,7 +109,11 @@ class LevelSet:
 
     def set_surface(self, bed_area: float, distance: SignedDistance) -> None:
         """Bed of ``bed_area`` (m^2) whose surface has this signed distance, shifted to hold it."""
-        self._set_nodal(distance(self._nodes))
+        self.set_distances(bed_area, distance(self.nodes))
+
+    def set_distances(self, bed_area: float, distances: NDArray[Any]) -> None:
+        """:meth:`set_surface` by the signed distances (n,) of ``nodes``."""
+        self._set_nodal(distances)
         for _ in range(_SHIFTS):
             self.restore_area(bed_area)
 
@@ -113,7 +127,7 @@ class LevelSet:
 
     def shift(self, distance: float) -> None:
         """Move the surface outwards by ``distance`` (m)."""
-        self.field.vec.FV().NumPy()[: self.mesh.nv] += distance
+        self._coefficients[: self.mesh.nv] += distance
 
     def restore_area(self, bed_area: float) -> float:
         """Shift the surface so that it holds ``bed_area`` (m^2); the area that was missing."""
@@ -139,8 +153,8 @@ class LevelSet:
         """
         held = self.element_areas()
         start, end = self._carried_on(*self.contour())
-        distance = distances(self._nodes, start, end)
-        self._set_nodal(np.copysign(distance, self._nodal(self.field)))
+        distance = distances(self.nodes, start, end)
+        self._set_nodal(np.copysign(distance, self.nodal(self._coefficients)))
         self.hold(held)
 
     def drain(self) -> bool:
@@ -150,7 +164,7 @@ class LevelSet:
         would slide on it.  Filled are nodes in air that are more than two elements away from any
         element of air alone.
         """
-        nodal = self._nodal(self.field)
+        nodal = self.nodal(self._coefficients)
         air = nodal < 0.0
         reached = np.zeros(len(nodal), dtype=bool)
         reached[self._elements[air[self._elements].all(axis=1)]] = True
@@ -175,7 +189,7 @@ class LevelSet:
             lengths = self.lattice.contour_weights(values, 1e-3 * self._half_width)
             spread = _SPREAD * self._half_width
             shifts = vertex_shifts(self._corners, areas - now, lengths, spread, self.mesh.nv)
-            self.field.vec.FV().NumPy()[: self.mesh.nv] += np.clip(shifts, -most, most)
+            self._coefficients[: self.mesh.nv] += np.clip(shifts, -most, most)
 
     def _carried_on(
         self, start: NDArray[Any], end: NDArray[Any]

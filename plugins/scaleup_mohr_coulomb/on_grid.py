@@ -12,6 +12,7 @@ from scaleup.contract import FloatArray, FlowField, Geometry, Grid, RunError, Sc
 from scaleup.numerics import fill_to_volume, fit_stream_function, flow_from_stream_function
 from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.mid_bed import mid_bed, sample, surface_speed
+from scaleup_mohr_coulomb.nearest_start import described
 
 if TYPE_CHECKING:
     from scaleup_mohr_coulomb.mid_bed import MidBed
@@ -153,6 +154,7 @@ def _summary(bed: SteadyBed) -> dict[str, Any]:
         "swings_averaged": bed.swings,
         "surface_angle_source": "solved; the error is the scatter between swings",
         "steady_within_tolerance": bed.converged,
+        "began_from": described(bed.began),
         "time_steps": bed.steps,
         "retries": bed.retries,
         "time_step_halvings": bed.most_halvings,

@@ -11,8 +11,10 @@ import ngsolve as ngs
 import numpy as np
 
 from scaleup.contract import Memory, Progress, RunError, Scene
+from scaleup_mohr_coulomb.krylov import NotSolved
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
+from scaleup_mohr_coulomb.nearest_start import Starts, described
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
 from scaleup_mohr_coulomb.start_up import StartUp
 from scaleup_mohr_coulomb.steady import NotSteady, SteadyBed, run_to_steady
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 _SECONDS_BETWEEN_CHECKPOINTS = 20.0
 _TIME_LIMIT = 140.0  # sqrt(reach/g); the bed's swings last about 9
+_NEAREST = {"solve_from": "nearest"}  # what depends on the store is kept apart from the rest
 _FIELDS = ("velocity", "level_set", "mesh", "start_up")  # of a bed, kept apart from its numbers
 
 
@@ -79,23 +82,37 @@ def steady_bed(
     }
     if options.start_up:
         finished["start_up"] = True
-    known = memory.recall(finished)
-    if known is not None and np.array_equal(known["vertices"], vertices):
-        progress(1.0, "steady bed reused from the store")
-        return _from_arrays(known, mesh, numerics)
+    starts = Starts(memory, scene, {"sizes": sizes, "rheology": inputs["rheology"]})
+    nearest = options.solve_from == "nearest"
+    for recalled in (finished, finished | _NEAREST) if nearest else (finished,):
+        known = memory.recall(recalled)
+        if known is not None and np.array_equal(known["vertices"], vertices):
+            progress(1.0, "steady bed reused from the store")
+            return _from_arrays(known, mesh, numerics)
+    if nearest:
+        finished, unfinished = finished | _NEAREST, unfinished | _NEAREST
 
     flow = TwoPhaseFlow(mesh, scene.material, drive, numerics, rheology)
-    steps = CarefulSteps(flow, SwingAverage(flow))
+    began = np.full(3, math.nan)
     checkpoint = memory.recall(unfinished)
     if checkpoint is not None and np.array_equal(checkpoint["vertices"], vertices):
+        steps = CarefulSteps(flow, SwingAverage(flow))
         flow.restore(_part(checkpoint, "flow"))
         steps.average.restore(_part(checkpoint, "average"))
         steps.restore(_part(checkpoint, "steps"))
+        began = checkpoint["began"]
         progress(0.0, f"resumed at t = {flow.time:.2f} s")
+    else:
+        start = starts.nearest() if nearest else None
+        if start is not None:
+            start.begin(flow)
+            began = start.place
+        steps = CarefulSteps(flow, SwingAverage(flow, flowing=start is not None))
+        progress(0.0, f"from {described(began)}")
     last_kept = time.monotonic()
 
     def keep() -> None:
-        arrays = {"vertices": vertices}
+        arrays = {"vertices": vertices, "began": began}
         arrays |= {f"flow.{name}": data for name, data in flow.state().items()}
         arrays |= {f"average.{name}": data for name, data in steps.average.state().items()}
         arrays |= {f"steps.{name}": data for name, data in steps.state().items()}
@@ -116,9 +133,13 @@ def steady_bed(
         start_up=options.start_up,
     )
     try:
-        bed = run_to_steady(steps, steady, keep_and_report)
-    except FlowDiverged as error:
+        bed = dataclasses.replace(run_to_steady(steps, steady, keep_and_report), began=began)
+    except (FlowDiverged, NotSolved) as error:
         memory.forget(unfinished)
+        if not np.isnan(began).any():
+            progress(0.0, "that start leads to no flow")
+            at_rest = options.model_copy(update={"solve_from": "rest"})
+            return steady_bed(scene, at_rest, progress, memory)
         halved = steps.recovery.most_halvings
         raise RunError(f"{error} (It had been halved {halved} times already.)") from error
     except NotSteady as error:
@@ -126,6 +147,7 @@ def steady_bed(
         raise RunError(str(error)) from error
     if bed.converged:
         memory.keep(finished, {"vertices": vertices} | _to_arrays(bed))
+        starts.keep(bed)
         memory.forget(unfinished)
     else:
         keep()

@@ -82,6 +82,9 @@ class SteadyBed:
     """Halvings of the nominal time step that the recovery needed at most."""
     seconds: float
     """Wall-clock time of the run."""
+    began: NDArray[Any]
+    """Friction angle (rad), logarithms of speed (rad/s) and fill (m^3) of the flow that it began
+    with, (3,); NaN if it began at rest."""
     start_up: StartUp | None = None
     """The flow before the stretch averaged over, if asked for."""
 
@@ -188,4 +191,5 @@ def _steady_bed(steps: CarefulSteps, window: Window, converged: bool, seconds: f
         retries=steps.recovery.retries,
         most_halvings=steps.recovery.most_halvings,
         seconds=seconds,
+        began=np.full(3, math.nan),
     )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .krylov import NotSolved
 from .swings import SwingAverage
 from .two_phase import FlowDiverged, TwoPhaseFlow
 
@@ -65,7 +66,7 @@ class CarefulSteps:
                 for _ in range(substeps):
                     flow.step()
                 average.record(flow)
-        except FlowDiverged:
+        except (FlowDiverged, NotSolved):
             if recovery.halvings == _MOST_HALVINGS:
                 raise
             self._go_back()

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import ngsolve as ngs
+import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from .element_shapes import ElementShapes, outer_products
+from .element_shapes import ElementShapes
 from .field_system import FieldSystem
 from .level_set import LevelSet
 
@@ -39,14 +41,47 @@ class Transport:
         field = self._field.vec.FV().NumPy()
         loads = np.empty(system.dofs.shape)
         for some, slopes in shapes.chunks():
-            along = half * np.matmul(slopes, velocity[some][..., None])[..., 0]
-            root = np.sqrt(shapes.weights[some])[..., None]
-            test = root * (shapes.values + along)
-            system.blocks[some] = outer_products(test)
-            old = np.matmul(root * (shapes.values - along), field[system.dofs[some]][..., None])
-            loads[some] = np.matmul(test.transpose(0, 2, 1), old)[..., 0]
+            system.blocks[some], loads[some] = _squared(
+                shapes.values,
+                slopes,
+                shapes.weights[some],
+                half * velocity[some],
+                field[system.dofs[some]],
+            )
         system.update()
         field[:] = system.solve(loads, field)
+
+
+@numba.njit(cache=True)
+def _squared(
+    values: NDArray[Any],
+    slopes: NDArray[Any],
+    weights: NDArray[Any],
+    shift: NDArray[Any],
+    old: NDArray[Any],
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Blocks (m, k, k) and loads (m, k) of a step, ``shift`` (m, q, dimension) being dt/2 u."""
+    m, q, k, dim = slopes.shape
+    blocks, loads = np.zeros((m, k, k)), np.zeros((m, k))
+    test = np.empty(k)
+    for e in range(m):
+        for p in range(q):
+            before = 0.0
+            for i in range(k):
+                along = 0.0
+                for a in range(dim):
+                    along += slopes[e, p, i, a] * shift[e, p, a]
+                test[i] = values[p, i] + along
+                before += (values[p, i] - along) * old[e, i]
+            for i in range(k):
+                factor = weights[e, p] * test[i]
+                loads[e, i] += factor * before
+                for j in range(i + 1):
+                    blocks[e, i, j] += factor * test[j]
+        for i in range(k):
+            for j in range(i):
+                blocks[e, j, i] = blocks[e, i, j]
+    return blocks, loads
 
 
 class SolenoidalVelocity:

@@ -14,7 +14,6 @@ from typing import Any
 import ngsolve as ngs
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from .level_set import LevelSet
 from .parameters import SteadyOptions
@@ -26,6 +25,8 @@ _AVALANCHE_DROP = math.radians(0.5)
 # Hysteresis of a crossing of the mean angle, in settled amplitudes.
 _CROSSING_BAND = 0.25
 _BLOCKS_PER_PERIOD = 20
+# Natural periods that a bed takes to forget the flow that it began with.
+_FORGETS = 2.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,9 @@ def natural_period(level_set: LevelSet, gravity: float) -> float:
 class SwingAverage:
     """History of the surface angle and running sums of the fields, block by block."""
 
-    def __init__(self, flow: TwoPhaseFlow) -> None:
+    def __init__(self, flow: TwoPhaseFlow, flowing: bool = False) -> None:
+        """``flowing``: the bed flows from the first, so that no avalanche ends its start-up."""
+        self.flowing = flowing
         self.period = natural_period(flow.level_set, flow.drive.gravity)
         step = flow.discretisation.time_step
         self.block = max(1, round(self.period / (_BLOCKS_PER_PERIOD * step)))
@@ -125,18 +128,8 @@ class SwingAverage:
         velocities over sqrt(parts), and the change from the first half of the parts to the second
         over the revolutions from one half's middle to the other's.
         """
-        space = flow.velocity.space
-        u, v = space.TnT()
-        form = ngs.BilinearForm(space)
-        form += flow.level_set.fraction * ngs.InnerProduct(u, v) * ngs.dx
-        form.Assemble()
-        rows, columns, entries = form.mat.COO()
-        mass = csr_matrix((np.array(entries), (np.array(rows), np.array(columns))))
-        velocities = self._part_means(window)[:, : space.ndof]
-
-        def norm(field: NDArray[Any]) -> float:
-            return float(math.sqrt(field @ (mass @ field)))
-
+        velocities = self._part_means(window)[:, : len(flow.velocity.vec)]
+        norm = flow.powder_norm
         parts, mean = len(velocities), velocities.mean(axis=0)
         scatter = math.sqrt(sum(norm(part - mean) ** 2 for part in velocities) / (parts - 1))
         half = parts // 2
@@ -151,24 +144,31 @@ class SwingAverage:
             "times": np.array(self.times),
             "angles": np.array(self.angles),
             "sums": np.array(self._sums),
+            "flowing": np.array(self.flowing),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take up the record of a run that was broken off."""
         self.times, self.angles = state["times"].tolist(), state["angles"].tolist()
         self._sums = [row.copy() for row in state["sums"]]
+        self.flowing = bool(state["flowing"])
 
     def window(self, options: SteadyOptions) -> Window | None:
         """The stretch to average over, or None while the bed is still starting up.
 
-        1. The start-up ends with the first avalanche.  2. If the angle has kept within the settled
+        1. The start-up ends with the first avalanche, that of a bed that flows from the first after
+        two natural periods.  2. If the angle has kept within the settled
         amplitude for enough natural periods, these are the parts.  3. Otherwise the parts are the
         whole swings since, between upward crossings of the mean angle; as many leading swings are
         left out as makes the standard error least (the marginal standard error rule), down to the
         fewest allowed.
         """
         times, angles = np.array(self.times), np.array(self.angles)
-        start = avalanche_end(times, angles, self.period)
+        if self.flowing:
+            after = np.flatnonzero(times > times[:1] + _FORGETS * self.period)
+            start = int(after[0]) if len(after) else None
+        else:
+            start = avalanche_end(times, angles, self.period)
         if start is None:
             return None
         still = settled_since(angles, options.settled_amplitude)

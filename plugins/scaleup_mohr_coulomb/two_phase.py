@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from scaleup.contract import Material
 
-from .element_shapes import ElementShapes
+from .element_shapes import ElementShapes, element_dofs
 from .level_set import LevelSet, SignedDistance
 from .mesh import farthest_wall
 from .momentum import Momentum
@@ -78,13 +78,13 @@ class TwoPhaseFlow:
         omega = drive.angular_velocity
         wall_velocity = ngs.CoefficientFunction((-omega * ngs.y, omega * ngs.x))
         self.velocity.Set(wall_velocity)
-        depth = ngs.IfPos(self.level_set.field, self.level_set.field, 0.0)
-        self.pressure.Set(material.bulk_density * drive.gravity * depth)
+        self._rest_under_weight()
 
         alpha = self.level_set.fraction
         self._strength = Strength.of(material, rheology or Rheology())
         self._step_length = ngs.Parameter(discretisation.time_step)
-        shapes = ElementShapes(mesh)
+        shapes = self._shapes = ElementShapes(mesh)
+        self._nodes = element_dofs(self.level_set.space)
         self._weight = SurfaceWeight(
             self.level_set.field,
             discretisation.interface_half_width,
@@ -127,6 +127,25 @@ class TwoPhaseFlow:
         self._air_pressure = ngs.CoefficientFunction((deep_air, deep_air * self.pressure))
         self._rests_in_drum = surface is None
 
+    def begin(self, distances: NDArray[Any], velocities: NDArray[Any]) -> None:
+        """Begin in a drum with a bed that flows, instead of with one that turns rigidly.
+
+        ``distances`` (n,) from the surface, m, positive in powder, and ``velocities`` (n, 2), m/s,
+        are those of the level set's nodes. Both stand still until the stress is found.
+        """
+        self.level_set.set_distances(self.drive.bed_area, distances)
+        self.level_set.redistance()
+        self.level_set.restore_area(self.drive.bed_area)
+        coefficients = [self.level_set.coefficients(part) for part in velocities.T]
+        self.velocity.vec.FV().NumPy()[:] = np.concatenate(coefficients)
+        self._rest_under_weight()
+        self._weight.update()
+        self._viscosity.settle()
+
+    def _rest_under_weight(self) -> None:
+        depth = ngs.IfPos(self.level_set.field, self.level_set.field, 0.0)
+        self.pressure.Set(self.material.bulk_density * self.drive.gravity * depth)
+
     @property
     def time_step(self) -> float:
         """Length of the next step, s; the method's nominal step unless it has been changed."""
@@ -137,7 +156,7 @@ class TwoPhaseFlow:
         self._step_length.Set(length)
 
     def _settle(self) -> None:
-        """Find the stress that carries the bed at rest in the drum, with the clock stopped.
+        """Find the stress that carries the bed in the drum at first, with the clock stopped.
 
         Stress in powder below yield is that of creep, which takes some steps to find: the first
         ones would take what it lacks for yielding, and the bed would slip by 0.3 to 0.6 deg.
@@ -209,6 +228,13 @@ class TwoPhaseFlow:
     def air_drained(self) -> float:
         """Sum over the run of the area of air below the surface that drained, over the bed's."""
         return self._area_drained / self.drive.bed_area
+
+    def powder_norm(self, velocity: NDArray[Any]) -> float:
+        """Root of the integral of alpha u.u, u having the coefficients ``velocity``, m^2/s."""
+        shapes = self._shapes
+        parts = velocity.reshape(2, -1)[:, self._nodes] @ shapes.values.T
+        weight = shapes.weights * shapes.sampled(self.level_set.fraction)
+        return math.sqrt(float((weight * (parts**2).sum(axis=0)).sum()))
 
     def ill_posed_share(self) -> float:
         """Share of the flowing layer in which the friction law is ill-posed, 0 to 1.

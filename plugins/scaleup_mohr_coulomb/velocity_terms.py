@@ -9,10 +9,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from .element_shapes import ElementShapes, element_dofs, outer_products
+from .element_shapes import ElementShapes, element_dofs
 
 # Force per mass, m/s^2, by places (m) and velocities (m/s) there, all (..., dimension).
 BodyForce = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+
+
+_LANES = 32  # elements at a time
 
 
 class VelocityTerms:
@@ -58,54 +61,132 @@ class VelocityTerms:
         shapes, dim = self._shapes, self._shapes.dimension
         entries = self._matrix.AsVector().FV().NumPy()
         old = velocity[self.dofs].reshape(shapes.count, dim, shapes.values.shape[1])
-        values = shapes.values
         for some, slopes in shapes.chunks(self.wanted):
-            weight, rho = shapes.weights[some], density[some]
-            speed = np.matmul(values, old[some].transpose(0, 2, 1))
-            along = np.matmul(slopes, speed[..., None])[..., 0]
-            inertia = np.concatenate(
-                [
-                    np.sqrt(weight * rho / time_step)[..., None] * values,
-                    np.sqrt(0.5 * time_step * weight * rho)[..., None] * along,
-                ],
-                axis=1,
-            )
-            blocks = _strained(weight * viscosity[some], slopes)
-            if grad_div is not None:
-                blocks += _dilated(weight * grad_div[some], slopes)
-            same = outer_products(inertia)
-            for a in range(dim):
-                blocks[:, a, :, a, :] += same
-            _add_at(entries, self._places[some].ravel(), blocks.ravel())
-
-            convected = np.matmul(along, old[some].transpose(0, 2, 1))
-            push = (weight * rho)[..., None] * (speed / time_step - convected)
+            weight = shapes.weights[some]
+            inertia, viscous = weight * density[some], weight * viscosity[some]
+            dilated = None if grad_div is None else weight * grad_div[some]
+            speed, convected, along = _carried(shapes.values, slopes, old[some])
+            pushed = inertia[..., None] * (speed / time_step - convected)
             forced = (weight * forced_density[some])[..., None]
-            push += forced * force(shapes.points[some], speed)
-            loads = np.matmul(push.transpose(0, 2, 1), values)
-            _add_at(load, self.dofs[some].ravel(), loads.ravel())
-
-
-def _strained(factor: NDArray[Any], slopes: NDArray[Any]) -> NDArray[Any]:
-    """The integral of 2 f E(u):grad v, (m, dimension, k, dimension, k), by ``factor`` f (m, q)."""
-    m, q, k, dim = slopes.shape
-    rows = np.sqrt(factor)[..., None] * slopes.reshape(m, q, k * dim)
-    pairs = outer_products(rows).reshape(m, k, dim, k, dim)
-    blocks = np.ascontiguousarray(pairs.transpose(0, 4, 1, 2, 3))
-    same = np.einsum("mikjk->mij", pairs)
-    for a in range(dim):
-        blocks[:, a, :, a, :] += same
-    return blocks
-
-
-def _dilated(factor: NDArray[Any], slopes: NDArray[Any]) -> NDArray[Any]:
-    """The integral of f div u div v, like :func:`_strained`."""
-    m, q, k, dim = slopes.shape
-    rows = np.sqrt(factor)[..., None] * slopes.transpose(0, 1, 3, 2).reshape(m, q, dim * k)
-    return outer_products(rows).reshape(m, dim, k, dim, k)
+            pushed += forced * force(shapes.points[some], speed)
+            _add_loads(load, self.dofs[some], shapes.values, pushed)
+            _add_blocks(
+                entries,
+                self._places[some],
+                shapes.values,
+                slopes,
+                along,
+                inertia,
+                viscous,
+                viscous if dilated is None else dilated,
+                dilated is not None,
+                time_step,
+            )
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _add_at(target: NDArray[Any], places: NDArray[Any], values: NDArray[Any]) -> None:
-    for number in range(len(places)):
-        target[places[number]] += values[number]
+def _carried(
+    values: NDArray[Any], slopes: NDArray[Any], old: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """U and U.grad U (m, q, dimension), and U.grad of the functions (m, q, k), at the points."""
+    m, q, k, dim = slopes.shape
+    speed, convected = np.zeros((m, q, dim)), np.zeros((m, q, dim))
+    along = np.zeros((m, q, k))
+    for e in range(m):
+        for p in range(q):
+            for i in range(k):
+                for a in range(dim):
+                    speed[e, p, a] += values[p, i] * old[e, a, i]
+            for i in range(k):
+                for a in range(dim):
+                    along[e, p, i] += slopes[e, p, i, a] * speed[e, p, a]
+                for a in range(dim):
+                    convected[e, p, a] += along[e, p, i] * old[e, a, i]
+    return speed, convected, along
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_loads(
+    load: NDArray[Any], dofs: NDArray[Any], values: NDArray[Any], pushed: NDArray[Any]
+) -> None:
+    """Add the integrals of ``pushed`` (m, q, dimension), times the points' weights, and v."""
+    m, q, dim = pushed.shape
+    k = values.shape[1]
+    for e in range(m):
+        for a in range(dim):
+            for i in range(k):
+                total = 0.0
+                for p in range(q):
+                    total += pushed[e, p, a] * values[p, i]
+                load[dofs[e, a * k + i]] += total
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_blocks(
+    entries: NDArray[Any],
+    places: NDArray[Any],
+    values: NDArray[Any],
+    slopes: NDArray[Any],
+    along: NDArray[Any],
+    inertia: NDArray[Any],
+    viscous: NDArray[Any],
+    dilated: NDArray[Any],
+    dilates: bool,
+    time_step: float,
+) -> None:
+    """Add elements' matrices to the ``entries`` at their ``places``.
+
+    ``inertia`` rho, ``viscous`` eta and ``dilated`` k (m, q) are times the points' weights; the
+    last counts if the matrix ``dilates``.  Some elements at a time, innermost, so that the loops
+    over them are vectorised.
+    """
+    m, q, k, dim = slopes.shape
+    g, u = np.empty((q, k, dim, _LANES)), np.empty((q, k, _LANES))
+    rho, eta, bulk = (
+        np.empty((q, _LANES)),
+        np.empty((q, _LANES)),
+        np.empty((q, _LANES)),
+    )
+    for first in range(0, m, _LANES):
+        count = min(_LANES, m - first)
+        for e in range(count):
+            for p in range(q):
+                rho[p, e], eta[p, e] = inertia[first + e, p], viscous[first + e, p]
+                bulk[p, e] = dilated[first + e, p]
+                for i in range(k):
+                    u[p, i, e] = along[first + e, p, i]
+                    for a in range(dim):
+                        g[p, i, a, e] = slopes[first + e, p, i, a]
+        for i in range(k):
+            for j in range(i + 1):
+                same, pairs = np.zeros(_LANES), np.zeros((dim, dim, _LANES))
+                for p in range(q):
+                    mass = values[p, i] * values[p, j] / time_step
+                    weight, one, other = rho[p], u[p, i], u[p, j]
+                    for e in range(_LANES):
+                        same[e] += weight[e] * (mass + 0.5 * time_step * one[e] * other[e])
+                for a in range(dim):
+                    for b in range(dim):
+                        for p in range(q):
+                            weight, one, other, sum_ = eta[p], g[p, i, b], g[p, j, a], pairs[a, b]
+                            for e in range(_LANES):
+                                sum_[e] += weight[e] * one[e] * other[e]
+                for a in range(dim):
+                    same += pairs[a, a]
+                for a in range(dim):
+                    pairs[a, a] += same
+                if dilates:
+                    for a in range(dim):
+                        for b in range(dim):
+                            for p in range(q):
+                                weight, one, other = bulk[p], g[p, i, a], g[p, j, b]
+                                sum_ = pairs[a, b]
+                                for e in range(_LANES):
+                                    sum_[e] += weight[e] * one[e] * other[e]
+                for e in range(count):
+                    place = places[first + e]
+                    for a in range(dim):
+                        for b in range(dim):
+                            entries[place[a * k + i, b * k + j]] += pairs[a, b, e]
+                            if i != j:
+                                entries[place[b * k + j, a * k + i]] += pairs[a, b, e]

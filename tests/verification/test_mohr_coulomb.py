@@ -13,16 +13,20 @@ from ngsolve.meshes import MakeStructured2DMesh
 from scipy.optimize import brentq
 
 from scaleup.case.composing import compose
+from scaleup.contract import Scene
 from scaleup.flow.source import obtain_flow
+from scaleup.flow.storage import Store
 from scaleup.run.blending import mix
 from scaleup.scene.models import GRAVITY, Material
-from scaleup.system.errors import RunError
+from scaleup.system.errors import InputError, RunError
 from scaleup.testing import check_flow
+from scaleup_mohr_coulomb import MohrCoulomb
 from scaleup_mohr_coulomb.element_shapes import ElementShapes
 from scaleup_mohr_coulomb.layer import layer_shear_rate
 from scaleup_mohr_coulomb.level_set import LevelSet
 from scaleup_mohr_coulomb.mesh import cross_section_mesh
 from scaleup_mohr_coulomb.mid_bed import mid_bed
+from scaleup_mohr_coulomb.nearest_start import Starts, described
 from scaleup_mohr_coulomb.on_grid import warnings_of
 from scaleup_mohr_coulomb.parameters import Discretisation, Drive, Rheology, SteadyOptions
 from scaleup_mohr_coulomb.rheology import Strength, effective_viscosity
@@ -592,3 +596,70 @@ def test_a_killed_solve_goes_on_from_its_checkpoint(mesh):
     other.restore(average.state())
     assert other.times == average.times
     assert other.window(SteadyOptions()) == average.window(SteadyOptions())
+
+
+def bed_at_rest(mesh, angle, speed):
+    """A plane bed that turns rigidly, as a mean flow."""
+    level_set = LevelSet(mesh, 0.003)
+    level_set.set_plane(AREA, angle)
+    velocity = ngs.GridFunction(ngs.VectorH1(mesh, order=2))
+    velocity.Set((-speed * ngs.y, speed * ngs.x))
+    return SimpleNamespace(level_set=level_set, velocity=velocity)
+
+
+def drum_scene(angle, speed):
+    """Of a friction angle in degrees and a speed in rad/s."""
+    case = compose(None, [f"material.friction_angle='{angle} deg'"])
+    return Scene(
+        geometry=case.geometry,
+        material=case.material,
+        speed=speed,
+        fill_volume=AREA * case.geometry.depth,
+        grid=case.grid,
+        inputs={"geometry": {}, "material": case.material.model_dump(mode="json")},
+    )
+
+
+def test_the_nearest_mean_flow_is_found_and_begins_another_on_its_own_mesh(mesh, tmp_path):
+    """Turned by the difference of the friction angles, by its own speed; nothing beyond reach."""
+    memory = Store(tmp_path).memory_of(MohrCoulomb)
+    wanted = Starts(memory, drum_scene(28, 2 * OMEGA), {"sizes": 1})
+    assert wanted.nearest() is None
+    for angle, speed in ((25, 2 * OMEGA), (26, 1.9 * OMEGA), (40, 2 * OMEGA)):
+        kept = Starts(memory, drum_scene(angle, speed), {"sizes": 1})
+        kept.keep(bed_at_rest(mesh, math.radians(angle), speed))
+    start = wanted.nearest()
+    assert start.place[:2] == pytest.approx([math.radians(26), math.log(1.9 * OMEGA)])
+    assert "26 deg" in described(start.place)
+    assert Starts(memory, drum_scene(50.1, 2 * OMEGA), {"sizes": 1}).nearest() is None
+    assert Starts(memory, drum_scene(28, 2 * OMEGA), {"sizes": 2}).nearest() is None
+
+    finer = cross_section_mesh(
+        Circle(Pnt(0, 0), RADIUS).Face(), 0.01, 0.004, AREA, math.radians(28), 0.014, 0.014
+    )
+    material, drive = drum_scene(28, 2 * OMEGA).material, Drive(AREA, 2 * OMEGA)
+    numerics = Discretisation.by_rule(material, drive, RADIUS)
+    flow = TwoPhaseFlow(finer, material, drive, numerics)
+    start.begin(flow)
+    assert flow.level_set.surface_fit(0.03)[0] == pytest.approx(math.radians(28), abs=0.01)
+    assert flow.level_set.area() == pytest.approx(AREA, rel=1e-4)
+    rigid = ngs.CoefficientFunction((-2 * OMEGA * ngs.y, 2 * OMEGA * ngs.x))
+    error = ngs.sqrt(ngs.Integrate((flow.velocity - rigid) ** 2, finer))
+    assert error < 0.01 * math.sqrt(ngs.Integrate(rigid**2, finer))
+
+
+def test_a_drum_solved_from_the_nearest_mean_flow(solved, store):
+    """As from rest within the errors, in fewer steps; the report says from which."""
+    near = [
+        "flow.solve_from=nearest",
+        "material.friction_angle='24.6 deg'",
+        *(one for one in SOLVED if "start_up" not in one),
+    ]
+    figures = obtain_flow(compose(None, near), MPI.COMM_SELF).flow.summary
+    assert "a friction angle of 23.6 deg, 6 rpm" in figures["began_from"]
+    assert solved.flow.summary["began_from"] == "rest"
+    assert figures["time_steps"] < solved.flow.summary["time_steps"]
+    rise = figures["surface_angle_deg"] - solved.flow.summary["surface_angle_deg"]
+    assert rise == pytest.approx(1.0, abs=1.0)
+    with pytest.raises(InputError, match="start_up"):
+        compose(None, ["flow.start_up=true", "flow.solve_from=nearest"])
