@@ -92,23 +92,30 @@ def steady_bed(
     if nearest:
         finished, unfinished = finished | _NEAREST, unfinished | _NEAREST
 
+    def solved_from_rest(why: str) -> SteadyBed:
+        progress(0.0, why)
+        at_rest = options.model_copy(update={"solve_from": "rest"})
+        return steady_bed(scene, at_rest, progress, memory)
+
+    checkpoint = memory.recall(unfinished)
+    if checkpoint is not None and not np.array_equal(checkpoint["vertices"], vertices):
+        checkpoint = None
+    start = starts.nearest() if nearest and checkpoint is None else None
+    if nearest and checkpoint is None and start is None:
+        return solved_from_rest("no mean flow of this drum is near enough to begin with")
     flow = TwoPhaseFlow(mesh, scene.material, drive, numerics, rheology)
     began = np.full(3, math.nan)
-    checkpoint = memory.recall(unfinished)
-    if checkpoint is not None and np.array_equal(checkpoint["vertices"], vertices):
-        steps = CarefulSteps(flow, SwingAverage(flow))
+    if start is not None:
+        start.begin(flow)
+        began = start.place
+        progress(0.0, f"from {described(began)}")
+    steps = CarefulSteps(flow, SwingAverage(flow, flowing=start is not None))
+    if checkpoint is not None:
         flow.restore(_part(checkpoint, "flow"))
         steps.average.restore(_part(checkpoint, "average"))
         steps.restore(_part(checkpoint, "steps"))
         began = checkpoint["began"]
         progress(0.0, f"resumed at t = {flow.time:.2f} s")
-    else:
-        start = starts.nearest() if nearest else None
-        if start is not None:
-            start.begin(flow)
-            began = start.place
-        steps = CarefulSteps(flow, SwingAverage(flow, flowing=start is not None))
-        progress(0.0, f"from {described(began)}")
     last_kept = time.monotonic()
 
     def keep() -> None:
@@ -136,10 +143,8 @@ def steady_bed(
         bed = dataclasses.replace(run_to_steady(steps, steady, keep_and_report), began=began)
     except (FlowDiverged, NotSolved) as error:
         memory.forget(unfinished)
-        if not np.isnan(began).any():
-            progress(0.0, "that start leads to no flow")
-            at_rest = options.model_copy(update={"solve_from": "rest"})
-            return steady_bed(scene, at_rest, progress, memory)
+        if nearest:
+            return solved_from_rest("that start led to no flow")
         halved = steps.recovery.most_halvings
         raise RunError(f"{error} (It had been halved {halved} times already.)") from error
     except NotSteady as error:

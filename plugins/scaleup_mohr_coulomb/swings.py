@@ -144,14 +144,15 @@ class SwingAverage:
             "times": np.array(self.times),
             "angles": np.array(self.angles),
             "sums": np.array(self._sums),
-            "flowing": np.array(self.flowing),
+            "begun": np.array([self.flowing, self.period, self.block]),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Take up the record of a run that was broken off."""
         self.times, self.angles = state["times"].tolist(), state["angles"].tolist()
         self._sums = [row.copy() for row in state["sums"]]
-        self.flowing = bool(state["flowing"])
+        flowing, self.period, block = state["begun"].tolist()
+        self.flowing, self.block = bool(flowing), int(block)
 
     def window(self, options: SteadyOptions) -> Window | None:
         """The stretch to average over, or None while the bed is still starting up.
@@ -161,7 +162,8 @@ class SwingAverage:
         amplitude for enough natural periods, these are the parts.  3. Otherwise the parts are the
         whole swings since, between upward crossings of the mean angle; as many leading swings are
         left out as makes the standard error least (the marginal standard error rule), down to the
-        fewest allowed.
+        fewest allowed, and to as many natural periods as a bed that has settled needs: ripples are
+        quicker than swings, and their means no independent ones.
         """
         times, angles = np.array(self.times), np.array(self.angles)
         if self.flowing:
@@ -182,6 +184,7 @@ class SwingAverage:
         candidates = [
             _window(angles, edges[skipped:], swinging=True)
             for skipped in range(len(edges) - options.minimum_swings)
+            if edges[-1] - edges[skipped] >= options.settled_periods * per_period
         ]
         return min(candidates, key=lambda window: window.angle_error, default=None)
 
