@@ -23,7 +23,7 @@ _SAGITTA = {2: 1e-3, 3: 5e-3}
 """of the smallest grain, by dimension: how far a triangle is from a curved wall"""
 _FINEST, _COARSEST = 0.25, 2.0  # edges of triangles in diameters of a grain
 _SNAPPED = 0.2  # of a cell: corners of the lattice so near to the wall lie on it (no slivers)
-_SLENDEREST = 4.0  # cells: pieces along z of a cross-section's wall
+_SLENDEREST = 10.0  # cells: pieces along z of a cross-section's wall
 _SMOOTH = 5.0  # deg between triangles up to which their edges are not felt
 _MOST_POINTS = 5e7
 
