@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from scaleup.case.case import Case
+from scaleup.case.vessel_shape import is_circle
 from scaleup.contract import GRAVITY, FloatArray
 from scaleup.particles.contact import Contact
-from scaleup.particles.deck import FRAMES, Deck, Wall
+from scaleup.particles.deck import FRAMES, Cylinder, Deck, Wall
 from scaleup.particles.dumps import Frame, dumps_in, read_dump, write_grains
 from scaleup.particles.engine import Cost, Engine
 from scaleup.particles.pouring import poured
@@ -96,12 +97,15 @@ class Computation:
 
     def _settle(self) -> None:
         geometry, length = self._case.geometry, self.length
-        triangles = triangles_of(geometry, self.contact.diameter, length or 0.0)
-        write_stl(self._folder / "vessel.stl", triangles)
+        wall = "a cylinder"
+        if not is_circle(geometry):
+            triangles = triangles_of(geometry, self.contact.diameter, length or 0.0)
+            write_stl(self._folder / "vessel.stl", triangles)
+            wall = f"{len(triangles)} triangles"
         seed = self._case.particles.seed
         grains = poured(geometry, self.contact, self.mass, length or 0.0, seed)
         write_grains(self._folder / "grains.data", grains, self.contact.density, self._box())
-        log.info("%d grains settle; the wall has %d triangles", len(grains.radius), len(triangles))
+        log.info("%d grains settle; the wall is %s", len(grains.radius), wall)
         fall = np.sqrt(2 * geometry.reach / GRAVITY)
         steps = self.schedule.settling_steps(_FELL * fall)
         energy = _STILL * self.mass * GRAVITY * self.contact.diameter
@@ -149,7 +153,12 @@ class Computation:
         write_text(self._folder / "costs.json", json.dumps(table))
 
     def _deck(self) -> Deck:
-        wall = Wall("vessel.stl", smoothness(self._triangles()))
+        geometry = self._case.geometry
+        wall: Wall | Cylinder
+        if is_circle(geometry):
+            wall = Cylinder(geometry.reach, (0.0, 0.0))
+        else:
+            wall = Wall("vessel.stl", smoothness(self._triangles()))
         return Deck(self.contact, self._box(), self.length is not None, [wall])
 
     def _triangles(self) -> FloatArray:

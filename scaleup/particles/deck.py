@@ -35,24 +35,49 @@ class Wall:
 
 
 @dataclass(frozen=True)
+class Cylinder:
+    """The inside of a cylinder of a radius (m) about an axis along z through `centre` (m)."""
+
+    radius: float
+    centre: tuple[float, float]
+
+    def touch(self, law: str, spin: float, diameter: float) -> str:
+        """What follows the name of a fix; spin in rad/s.
+
+        The engine's wall moves by the spin times the distance of a grain's centre from the axis,
+        not that of the contact: it is made faster by as much, exactly for a mean `diameter`.
+        """
+        faster = spin * self.radius / (self.radius - 0.5 * diameter)
+        shear = f" shear x {faster!r}" if spin else ""
+        x, y = self.centre
+        return (
+            f"all wall/gran model {law} primitive type 2 zcylinder {self.radius!r} {x!r} {y!r}"
+            + shear
+        )
+
+
+@dataclass(frozen=True)
 class Deck:
-    """A box of grains of one kind, and walls of triangles.
+    """A box of grains of one kind, and walls.
 
     contact  -- of the grains
     box      -- m, lower and upper corner, (2, 3)
     periodic -- whether the box repeats along z
-    walls    -- of triangles
+    walls    -- of triangles, or cylinders along z
     gravity  -- m/s^2, (x, y, z)
     """
 
     contact: Contact
     box: FloatArray
     periodic: bool
-    walls: Sequence[Wall]
+    walls: Sequence[Wall | Cylinder]
     gravity: tuple[float, float, float] = (0.0, -GRAVITY, 0.0)
 
-    def common(self, source: str, time_step: float) -> list[str]:
-        """The lines before a stage begins; `source` reads the grains."""
+    def common(self, source: str, time_step: float, spin: float = 0.0) -> list[str]:
+        """The lines before a stage begins.
+
+        source -- the command that reads the grains; spin -- of cylinders, rad/s
+        """
         c = self.contact
         skin = _SKIN * c.diameter
         pairs = f"{c.friction!r} {c.wall_friction!r} {c.wall_friction!r} {c.wall_friction!r}"
@@ -62,12 +87,17 @@ class Deck:
         modulus, ratio = (" ".join([repr(v)] * 2) for v in (c.youngs_modulus, c.poisson_ratio))
         size = math.sqrt(sum(g * g for g in self.gravity))
         way = " ".join(repr(g / size) for g in self.gravity) if size else ""
-        names = [f"wall{n}" for n in range(len(self.walls))]
         meshes = [
             f"fix {name} all mesh/surface file {wall.file} type 2 curvature {wall.smooth:.4g} "
             "curvature_tolerant yes"
-            for name, wall in zip(names, self.walls, strict=True)
+            for name, wall in self._meshes.items()
         ]
+        touches = [
+            wall.touch(_LAW, spin, c.diameter) for wall in self.walls if isinstance(wall, Cylinder)
+        ]
+        if meshes:
+            names = " ".join(self._meshes)
+            touches.append(f"all wall/gran model {_LAW} mesh n_meshes {len(meshes)} meshes {names}")
         return [
             "atom_style granular",
             "atom_modify map array",
@@ -90,11 +120,15 @@ class Deck:
             f"timestep {time_step!r}",
             *([f"fix weight all gravity {size!r} vector {way}"] if size else []),
             *meshes,
-            f"fix touch all wall/gran model {_LAW} mesh n_meshes {len(names)} "
-            f"meshes {' '.join(names)}",
+            *(f"fix touch{n} {touch}" for n, touch in enumerate(touches)),
             "fix motion all nve/sphere",
             "thermo_style custom step atoms ke",
         ]
+
+    @property
+    def _meshes(self) -> dict[str, Wall]:
+        """Walls of triangles by name."""
+        return {f"wall{n}": w for n, w in enumerate(self.walls) if isinstance(w, Wall)}
 
     def settling(self, time_step: float, steps: int, energy: float) -> str:
         """From `grains.data`: stretches of some steps until the kinetic energy (J) is small.
@@ -138,13 +172,13 @@ class Deck:
         point = " ".join(repr(float(x)) for x in axis.point)
         direction = " ".join(repr(float(x)) for x in axis.direction)
         turns = [
-            f"fix turn{n} all move/mesh mesh wall{n} rotate origin {point} axis {direction} "
+            f"fix turn_{name} all move/mesh mesh {name} rotate origin {point} axis {direction} "
             f"period {period!r}"
-            for n in range(len(self.walls))
+            for name in self._meshes
         ]
         return _text(
             [
-                *self.common(f"read_restart {source}", time_step),
+                *self.common(f"read_restart {source}", time_step, 2 * math.pi / period),
                 *turns,
                 f"thermo {steps}",
                 f"dump frames all custom {steps} {FRAMES}/grains.*.txt {COLUMNS}",
