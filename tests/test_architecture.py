@@ -37,6 +37,20 @@ def test_imports_run_one_way():
     assert done.returncode == 0, done.stdout
 
 
+def test_modules_that_plugins_import_from_their_own_package_exist():
+    """Also where they do so late, as what needs NGSolve or PETSc does."""
+    for path in (*REPOSITORY.glob("plugins/*/*.py"), *REPOSITORY.glob("geometries/*/*.py")):
+        package = path.parent
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or not node.module:
+                continue
+            first, _, rest = node.module.partition(".")
+            module = node.module if node.level == 1 else rest if first == package.name else ""
+            if module:
+                wanted = package / module.replace(".", "/")
+                assert wanted.is_dir() or wanted.with_suffix(".py").exists(), (path, node.module)
+
+
 @pytest.mark.parametrize(
     "path", BEFORE_THE_LAUNCH, ids=lambda path: str(path.relative_to(REPOSITORY))
 )

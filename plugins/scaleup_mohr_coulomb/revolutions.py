@@ -19,7 +19,7 @@ from .two_phase import FlowDiverged
 if TYPE_CHECKING:
     from scaleup.contract import Progress
 
-    from .vessel_flow import VesselFlow
+    from .space_flow import VesselFlow
 
 # Share of the bed's volume that may lie elsewhere after a revolution that repeats the one before.
 REPEATS = 0.02

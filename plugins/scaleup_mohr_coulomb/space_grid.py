@@ -25,7 +25,7 @@ from .revolutions import REPEATS, SOLVING
 
 if TYPE_CHECKING:
     from .revolutions import Turned
-    from .vessel_flow import VesselFlow
+    from .space_flow import VesselFlow
 
 _STILL = 0.01  # of the rim's speed: slower powder between full cells is at rest
 _NARROW = 1e-3  # of a face's open area counts as wet at least where both cells hold powder

@@ -15,7 +15,7 @@ from scaleup.numerics import on_root, on_root_alone
 from .revolutions import Turned
 
 if TYPE_CHECKING:
-    from .vessel_flow import VesselFlow
+    from .space_flow import VesselFlow
 
 _SECONDS_BETWEEN = 120.0
 _NUMBERS = ("per_revolution", "prefix", "mismatch", "retries", "seconds")

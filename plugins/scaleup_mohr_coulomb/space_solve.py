@@ -11,10 +11,10 @@ from scaleup.numerics import on_each
 
 from .parameters import Discretisation, Drive, Rheology
 from .revolutions import level_bed, revolve
+from .space_flow import VesselFlow
+from .space_grid import periodic_flow
+from .space_memory import TurnedMemory
 from .space_mesh import vessel_mesh
-from .vessel_flow import VesselFlow
-from .vessel_grid import periodic_flow
-from .vessel_memory import TurnedMemory
 
 if TYPE_CHECKING:
     from scaleup_mohr_coulomb import MohrCoulomb
