@@ -232,6 +232,11 @@ def _warnings(case: Case, computation: Computation, measured: Measured) -> list[
             f"means of the bed are over revolutions {measured.mean_from:.3g} to "
             f"{measured.revolutions[-1]:.3g} only, in which it may still swing"
         )
+    if not is_circle(case.geometry):
+        found.append(
+            "the wall is made of triangles, on whose curved parts a bed slides more easily than it "
+            "should (docs/particles.md)"
+        )
     deep = (measured.level - case.geometry.lower[1]) / contact.diameter
     if deep < 10:
         found.append(f"the bed is {deep:.3g} grains deep: walls order the grains that far")
