@@ -18,6 +18,7 @@ from scaleup_drum import Drum
 
 BAFFLED = (
     "flow.name=surface-layer",
+    "flow.model=general",
     "flow.intervals=40",
     "geometry.diameter='160 mm'",
     "geometry.baffle_thickness='6 mm'",
