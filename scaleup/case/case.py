@@ -146,9 +146,8 @@ class Case:
         return backend
 
     def _built(self, kind: Kind) -> Any:
-        name = self.name(kind)
-        with blamed_on(kind, name):
-            return registry.load(kind, name)(self.options(kind))
+        with blamed_on(kind, self.name(kind)):
+            return self.plugin_class(kind)(self.options(kind))
 
     @cached_property
     def fill_volume(self) -> float:
